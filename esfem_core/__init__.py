@@ -1,0 +1,28 @@
+"""Evolving surface finite elements in space, backward difference formulas in time."""
+
+from esfem_core import bdf, errors, problems, study
+from esfem_core.assembly import DegenerateElementError
+from esfem_core.flow import EvolutionError, State, evolve
+from esfem_core.linear_solver import DirectSolver, LaggedSolver
+from esfem_core.problems import Exact, Problem
+from esfem_core.surface import SurfaceSpace
+from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere
+
+__all__ = [
+    "DegenerateElementError",
+    "DirectSolver",
+    "EvolutionError",
+    "Exact",
+    "LaggedSolver",
+    "Problem",
+    "State",
+    "SurfaceSpace",
+    "bdf",
+    "check_triangulation",
+    "errors",
+    "evolve",
+    "problems",
+    "sphere",
+    "study",
+    "to_unit_sphere",
+]

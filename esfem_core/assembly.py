@@ -1,0 +1,212 @@
+"""Element integrals over Γ_h[x], for all elements at once.
+
+An element is the image of the reference triangle under Phi(xi, eta) = sum_a x_a phi_a(xi, eta).
+With its tangents t1 = d Phi/d xi, t2 = d Phi/d eta and the metric E = t1.t1, F = t1.t2, G = t2.t2,
+s = sqrt(EG - F^2) is the area density, and for functions on the element
+
+    grad u . grad w = (G u1 w1 - F (u1 w2 + u2 w1) + E u2 w2) / s^2,      u1 = d u/d xi, ...
+
+This is [N] 7.2 with the third column of its 3 x 3 differential, the normal, eliminated. Each
+integral is then (products of basis functions at the quadrature points) @ (metric factors), one
+small matrix product for many elements. Arrays here have the elements last.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from esfem_core.lagrange import Basis
+from esfem_core.quadrature import TriangleRule
+
+__all__ = ["DegenerateElementError", "ElementTables", "SparsePattern"]
+
+CHUNK = 2048  # elements treated at a time, so that their arrays stay in the cache
+FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
+
+Array = NDArray[np.float64]
+
+
+class DegenerateElementError(ArithmeticError):
+    """An element has lost its area, or a nodal position is not finite.
+
+    Attributes
+    ----------
+    element : int
+        Row of ``space.cells``.
+    """
+
+    def __init__(self, message: str, element: int) -> None:
+        super().__init__(message)
+        self.element = element
+
+
+class Metric(NamedTuple):
+    """Tangents and metric at the quadrature points of some elements."""
+
+    t1: Array  # (3, Q, C)
+    t2: Array  # (3, Q, C)
+    E: Array  # (Q, C)
+    F: Array
+    G: Array
+    s: Array  # area density
+
+    def normals(self) -> Array:
+        """Unit normals, (3, Q, C)."""
+        (a0, a1, a2), (b0, b1, b2) = self.t1, self.t2
+        return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0]) / self.s
+
+
+class ElementTables:
+    """Basis functions, their derivatives and their products, tabulated once.
+
+    Parameters
+    ----------
+    basis : Basis
+        At the points of `rule`.
+    rule : TriangleRule
+    """
+
+    def __init__(self, basis: Basis, rule: TriangleRule) -> None:
+        phi, (d1, d2) = basis.values, basis.derivatives
+        w = rule.weights
+        a, b = np.triu_indices(phi.shape[1])
+        self.values = phi
+        self.gradients = np.vstack([d1, d2])  # (2Q, n)
+        self.weights = w[:, None]
+        self.pairs = np.stack([a, b])  # local index pairs a <= b of the symmetric half
+        self.mass = np.ascontiguousarray((phi[:, a] * phi[:, b]).T * w)  # (P, Q)
+        cross = -(d1[:, a] * d2[:, b] + d2[:, a] * d1[:, b])
+        self.stiffness = np.hstack(  # (P, 3Q), for the factors G/s, F/s, E/s
+            [c.T * w for c in (d1[:, a] * d1[:, b], cross, d2[:, a] * d2[:, b])]
+        )
+
+    def metric(self, nodes: Array, first: int = 0) -> Metric:
+        """Metric of elements with the given node positions.
+
+        Parameters
+        ----------
+        nodes : (3, n, C) float array
+        first : int
+            Number of the first of these elements, for error messages.
+
+        Raises
+        ------
+        DegenerateElementError
+        """
+        n_points = len(self.weights)
+        tangents = self.gradients @ nodes
+        t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
+        E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
+        # A degenerate or overflowing element is recognised and reported below.
+        with np.errstate(invalid="ignore", over="ignore"):
+            s2 = E * G - F * F
+            sound = s2 > (FLATNESS / 2 * (E + G)) ** 2
+        if not sound.all() or not np.isfinite(s2).all():
+            bad = int(np.argmax((~sound | ~np.isfinite(s2)).any(axis=0)))
+            what = "is degenerate" if np.isfinite(nodes[:, :, bad]).all() else "is not finite"
+            center = nodes[:, :3, bad].mean(axis=1)
+            raise DegenerateElementError(
+                f"element {first + bad} near {np.array2string(center, precision=4)} {what}",
+                first + bad,
+            )
+        return Metric(t1, t2, E, F, G, np.sqrt(s2))
+
+    def mass_stiffness(self, nodes: Array, first: int = 0) -> tuple[Array, Array]:
+        """Element mass and stiffness entries of the index pairs a <= b, each (P, C)."""
+        g = self.metric(nodes, first)
+        factors = np.concatenate([g.G, g.F, g.E]).reshape(3, *g.s.shape)
+        factors /= g.s
+        return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
+
+    def gradient(self, g: Metric, u: Array) -> Array:
+        """Surface gradient (m, 3, Q, C) of the nodal values u (m, n, C)."""
+        n_points = len(self.weights)
+        du = self.gradients @ u
+        u1, u2 = du[:, :n_points], du[:, n_points:]
+        s2 = g.s * g.s
+        c1, c2 = (g.G * u1 - g.F * u2) / s2, (g.E * u2 - g.F * u1) / s2
+        return c1[:, None] * g.t1 + c2[:, None] * g.t2
+
+
+def _dot(a: Array, b: Array) -> Array:
+    out = a[0] * b[0]
+    out += a[1] * b[1]
+    out += a[2] * b[2]
+    return out
+
+
+def chunks(n_cells: int) -> Iterator[slice]:
+    """Consecutive slices of at most CHUNK elements."""
+    return (slice(i, min(i + CHUNK, n_cells)) for i in range(0, n_cells, CHUNK))
+
+
+class SparsePattern:
+    """Where the element entries go in a symmetric (N, N) CSR matrix; made once per space.
+
+    Parameters
+    ----------
+    cells : (T, n) int array
+    pairs : (2, P) int array
+        Local index pairs a <= b.
+    n_nodes : int
+        N.
+    """
+
+    def __init__(
+        self, cells: NDArray[np.int64], pairs: NDArray[np.int64], n_nodes: int
+    ) -> None:
+        a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
+        keys = (np.minimum(a, b).astype(np.int64) * n_nodes + np.maximum(a, b)).ravel()
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+        rows, columns = np.divmod(keys[starts], n_nodes)
+        n_half = len(starts)
+        # Entry h of the upper triangle is the sum of the element entries order[starts[h]:...].
+        self._gather = csr_array(
+            (np.ones(len(order)), order.astype(np.int32), np.r_[starts, len(order)]),
+            shape=(n_half, len(order)),
+        )
+        off = rows != columns
+        half = np.arange(n_half)
+        full = csr_array(
+            (
+                np.r_[half, half[off]],
+                (np.r_[rows, columns[off]], np.r_[columns, rows[off]]),
+            ),
+            shape=(n_nodes, n_nodes),
+        )
+        full.sort_indices()
+        self._mirror = full.data
+        self.indices, self.indptr = full.indices, full.indptr
+        self.shape = full.shape
+
+    def matrix(self, entries: Array) -> csr_array:
+        """Sum element entries (P, T) into a new CSR matrix."""
+        return self.with_data((self._gather @ entries.ravel())[self._mirror])
+
+    def with_data(self, data: Array) -> csr_array:
+        """CSR matrix with this pattern and the given entries."""
+        matrix = csr_array((data, self.indices, self.indptr), shape=self.shape)
+        matrix.has_canonical_format = True
+        return matrix
+
+
+class NodalSum:
+    """Sum of element vectors (n, T, ...) into nodal vectors (N, ...); made once per space."""
+
+    def __init__(self, cells: NDArray[np.int64], n_nodes: int) -> None:
+        nodes = cells.T.ravel()
+        order = np.argsort(nodes, kind="stable")
+        counts = np.bincount(nodes, minlength=n_nodes)
+        self._gather = csr_array(
+            (np.ones(len(nodes)), order.astype(np.int32), np.r_[0, np.cumsum(counts)]),
+            shape=(n_nodes, len(nodes)),
+        )
+
+    def __call__(self, entries: Array) -> Array:
+        flat = entries.reshape(self._gather.shape[1], -1)
+        return (self._gather @ flat).reshape(-1, *entries.shape[2:])

@@ -1,0 +1,87 @@
+"""Coefficients of the backward difference formulas and of extrapolation ([N] (2.22), [LMV] (3.2)).
+
+Newest value first throughout. (The sum in [N] (2.18) runs the other way, from the oldest value;
+(2.22) and 2.11.1 run from the newest, and only that is an extrapolation.)
+"""
+
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["delta", "gamma"]
+
+
+def delta(p: int) -> NDArray[np.float64]:
+    """Coefficients of the p-step backward difference formula.
+
+    delta(z) = sum_{j=0..p} delta_j z^j = sum_{l=1..p} (1 - z)^l / l, so that
+    (1/tau) sum_j delta_j y(t - j tau) = y'(t) + O(tau^p). Summed in exact rationals.
+
+    Parameters
+    ----------
+    p : int
+        Order and number of steps, 1 or more. Zero-stable for p <= 6 only.
+
+    Returns
+    -------
+    (p+1,) float array
+        ``delta(p)[j]`` belongs to t - j tau.
+
+    Raises
+    ------
+    ValueError
+        If `p` is not a positive integer.
+
+    Examples
+    --------
+    >>> delta(2)
+    array([ 1.5, -2. ,  0.5])
+    """
+    return np.array([float(c) for c in delta_exact(p)])
+
+
+def gamma(p: int) -> NDArray[np.float64]:
+    """Coefficients of extrapolation from the p last values.
+
+    gamma(z) = sum_{j=0..p-1} gamma_j z^j = (1 - (1 - z)^p)/z, so that
+    sum_j gamma_j y(t - (j+1) tau) = y(t) + O(tau^p).
+
+    Parameters
+    ----------
+    p : int
+        Number of values, 1 or more.
+
+    Returns
+    -------
+    (p,) float array
+        ``gamma(p)[j]`` belongs to t - (j+1) tau.
+
+    Raises
+    ------
+    ValueError
+        If `p` is not a positive integer.
+
+    Examples
+    --------
+    >>> gamma(3)
+    array([ 3., -3.,  1.])
+    """
+    p = _order(p)
+    return np.array([(-1.0) ** j * comb(p, j + 1) for j in range(p)])
+
+
+def delta_exact(p: int) -> list[Fraction]:
+    """Coefficients of :func:`delta` as exact fractions."""
+    p = _order(p)
+    return [
+        sum(((-1) ** j * Fraction(comb(m, j), m) for m in range(max(j, 1), p + 1)), Fraction(0))
+        for j in range(p + 1)
+    ]
+
+
+def _order(p: int) -> int:
+    if p != int(p) or p < 1:
+        raise ValueError(f"the order p must be an integer >= 1, got {p!r}")
+    return int(p)

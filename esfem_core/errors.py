@@ -1,0 +1,148 @@
+"""Norms on discrete surfaces, and errors against an exact solution."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from esfem_core.flow import State
+from esfem_core.problems import Problem
+from esfem_core.surface import SurfaceSpace
+
+__all__ = ["Errors", "compare", "difference", "seminorm"]
+
+Array = NDArray[np.float64]
+
+
+class Errors(NamedTuple):
+    """L2 norms and H1 seminorms of the errors in positions, velocities and solution.
+
+    Where there is no velocity, its errors are NaN.
+    """
+
+    x_l2: float
+    x_h1: float
+    v_l2: float
+    v_h1: float
+    u_l2: float
+    u_h1: float
+
+
+def seminorm(matrix: csr_array, w: Array) -> float:
+    """(w^T matrix w)^{1/2}, summed over components.
+
+    With the mass matrix M(x) this is the L2 norm on Γ_h[x] of the finite element function with
+    nodal values w, with the stiffness matrix A(x) its H1 seminorm ([N] section 3, [LMV] (2.8)).
+
+    Parameters
+    ----------
+    matrix : (N, N) sparse array
+        Symmetric, positive semidefinite.
+    w : (N, ...) float array
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 3), 2, ec.to_unit_sphere)
+    >>> M, A = space.mass_stiffness(space.nodes)
+    >>> print(f"{seminorm(M, space.nodes) ** 2 / (4 * np.pi):.4f}")
+    1.0000
+    >>> print(f"{seminorm(A, space.nodes) ** 2 / (8 * np.pi):.4f}")
+    1.0000
+    """
+    columns = w.reshape(len(w), -1)
+    # Rounding can bring a square that is zero below zero.
+    return float(np.sqrt(max(np.sum(columns * (matrix @ columns)), 0.0)))
+
+
+def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
+    """Errors against the nodal interpolant of the exact solution on Γ_h[x_*] ([N] 7.4).
+
+    The error vectors e_x = x - x_*, e_v = v - v_*, e_u = u - u_*, with exact values at the nodes,
+    in the norms of the mass and the stiffness matrix at the exact nodes x_*.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution.
+    state : State
+
+    Returns
+    -------
+    Errors
+        Those of the velocity are NaN where ``state.v`` is None.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no exact solution.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> problem = ec.problems.shrinking_sphere()
+    >>> *_, last = ec.evolve(space, problem, order=2, step=1 / 20, end=1 / 2)
+    >>> print(f"{ec.errors.compare(space, problem, last).x_l2:.1e}")
+    9.8e-06
+    """
+    exact = problem.exact
+    if exact is None:
+        raise ValueError("the problem has no exact solution to compare with")
+    x = np.asarray(exact.x(space.nodes, state.t))
+    v = None if state.v is None else exact.v(space.nodes, state.t)
+    return difference(space, state, State(state.t, x, v, exact.u(x, state.t)))
+
+
+def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
+    """Differences of two discrete solutions on the same space, on Γ_h[reference.x].
+
+    Against a run with a much smaller step this is the error of time discretisation alone. Both
+    runs must then start alike at t = 0 (``start="euler"``): exact starting values at (p - 1) tau
+    restart the spatial error there, which shows as a difference of first order in tau.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    state, reference : State
+        At the same time.
+
+    Returns
+    -------
+    Errors
+
+    Raises
+    ------
+    ValueError
+        If the states are not at the same time.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> runs = [
+    ...     list(ec.evolve(space, ec.problems.growing_sphere(), 2, step, 0.5, start="euler"))
+    ...     for step in (1 / 40, 1 / 80, 1 / 1280)
+    ... ]
+    >>> coarse, fine = (difference(space, run[-1], runs[-1][-1]).x_l2 for run in runs[:2])
+    >>> print(f"{np.log2(coarse / fine):.1f}")
+    2.0
+    """
+    if abs(state.t - reference.t) > 1e-9 * max(1.0, abs(reference.t)):
+        raise ValueError(f"the states are at different times, {state.t} and {reference.t}")
+    M, A = space.mass_stiffness(reference.x)
+
+    def norms(a: Array | None, b: Array | None) -> tuple[float, float]:
+        if a is None or b is None:
+            return float("nan"), float("nan")
+        return seminorm(M, a - b), seminorm(A, a - b)
+
+    return Errors(
+        *norms(state.x, reference.x), *norms(state.v, reference.v), *norms(state.u, reference.u)
+    )

@@ -1,0 +1,373 @@
+"""The time schemes: linearly implicit BDF for the coupled system, BDF for a prescribed motion."""
+
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from esfem_core.assembly import DegenerateElementError
+from esfem_core.bdf import delta, gamma
+from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver
+from esfem_core.problems import Problem
+from esfem_core.surface import SurfaceSpace
+
+__all__ = ["EvolutionError", "State", "evolve"]
+
+Array = NDArray[np.float64]
+MASSES = ("extrapolated", "reassembled", "updated")
+SOLVERS: dict[str, Callable[[], Solver]] = {"lagged": LaggedSolver, "direct": DirectSolver}
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The discrete solution at one time.
+
+    Attributes
+    ----------
+    t : float
+    x : (N, 3) float array
+        Node positions.
+    v : (N, 3) float array or None
+        Nodal velocities, from (2.21); None in the starting states.
+    u : (N,) or (N, m) float array
+        Nodal values of the solution.
+    """
+
+    t: float
+    x: Array
+    v: Array | None
+    u: Array
+
+
+class EvolutionError(RuntimeError):
+    """A run cannot go on; the states it has yielded are good.
+
+    Attributes
+    ----------
+    step : int
+        Number n of the step that failed.
+    t : float
+        Its time.
+    element : int or None
+        Row of ``space.cells`` where the trouble was first seen, if it has a place.
+    """
+
+    def __init__(self, reason: str, step: int, t: float, element: int | None = None) -> None:
+        super().__init__(f"step {step}, t = {t:.6g}: {reason}")
+        self.step, self.t, self.element = step, t, element
+
+
+def evolve(
+    space: SurfaceSpace,
+    problem: Problem,
+    order: int,
+    step: float,
+    end: float,
+    *,
+    mass: str = "extrapolated",
+    start: str | Sequence[State] | None = None,
+    solver: str = "lagged",
+    allow_unstable: bool = False,
+) -> Iterator[State]:
+    r"""Solve a problem on an evolving surface by surface finite elements and BDF.
+
+    For the coupled system, [N] (2.19)-(2.21): with the extrapolations
+    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise,
+
+        (1/tau) sum_j delta_j M(x~^{n-j}) u^{n-j} + A(x~^n) u^n = f(x~^n, u~^n)
+        K(x~^n) v^n + beta A(x~^n) x^n = g(x~^n, u~^n),     K = M + alpha A
+        (1/tau) sum_j delta_j x^{n-j} = v^n
+
+    Each step assembles once and solves one (N, N) system for u and one for the three components
+    of v. For a prescribed motion, [LMV] (3.1): the same without the last two lines, on the exact
+    nodes x^n.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+        Its nodes are the initial positions.
+    problem : Problem
+    order : int
+        Order p = 1..5 of the BDF method and of extrapolation. 6 is allowed with a warning: it is
+        stable in practice, but no multiplier 1 - eta zeta, on which both papers' proofs rest,
+        exists for it.
+    step : float
+        Step size tau.
+    end : float
+        Final time, an integer multiple of `step` (to 1e-9) of at least p - 1 steps.
+    mass : {"extrapolated", "reassembled", "updated"}
+        Where the mass matrices are taken; no difference for a prescribed motion.
+        "extrapolated": at x~^{n-j} on every level, which is (2.19), of order p.
+        "reassembled": at x~^n on the newest level and at the solution x^{n-j} on the others, which
+        is [N] (7.2) as printed. Its defect has the additional term
+        (delta_0/tau) (M(x~^n) - M(x^n)) u^n = O(tau^{p-1}), so its order in u is p - 1, and for
+        p = 1 it misses the change of the mass altogether.
+        "updated": at x^n on every level, known before u^n is; of order p.
+    start : {"exact", "euler"} or sequence of p states, optional
+        Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
+        the default if it is given. "euler": linearly implicit Euler steps, extrapolated to
+        order p, with updated mass matrices. Otherwise the states to start from.
+    solver : {"lagged", "direct"}
+        "lagged": conjugate gradients, preconditioned with a factorisation kept for many steps,
+        to a relative residual of 1e-11. "direct": a sparse factorisation in every step.
+    allow_unstable : bool
+        Let p >= 7 run; these methods are not zero-stable.
+
+    Yields
+    ------
+    State
+        The p starting states (v is None), then one per step, at t_n = n step. Their arrays are
+        never written to again.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range; at the call, before anything is computed.
+    EvolutionError
+        If a run meets a value that is not finite, or an element degenerates or turns over.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> problem = ec.problems.growing_sphere(alpha=1, beta=1, delta=1, u0=4)
+    >>> *_, last = ec.evolve(space, problem, order=3, step=1 / 20, end=1.0)
+    >>> radius = np.linalg.norm(last.x, axis=1)
+    >>> print(f"{radius.mean():.4f} {np.linalg.norm(problem.exact.x(space.nodes, 1.0)[0]):.4f}")
+    1.4314 1.4314
+    """
+    _check_order(order, allow_unstable)
+    n_steps = _count_steps(step, end, order)
+    if mass not in MASSES:
+        raise ValueError(f"mass must be one of {MASSES}, got {mass!r}")
+    if solver not in SOLVERS:
+        raise ValueError(f"solver must be one of {sorted(SOLVERS)}, got {solver!r}")
+    if start is None:
+        start = "exact" if problem.exact is not None else "euler"
+    if start == "exact" and problem.exact is None:
+        raise ValueError('start="exact" needs a problem with an exact solution')
+    if isinstance(start, str) and start not in ("exact", "euler"):
+        raise ValueError(f'start must be "exact", "euler" or a sequence of states, got {start!r}')
+    if not isinstance(start, str) and len(start) != order:
+        raise ValueError(f"start must hold p = {order} states, got {len(start)}")
+    march = partial(_march, space, problem, make_solver=SOLVERS[solver])
+    return _run(space, problem, order, step, n_steps, start, mass, march)
+
+
+def _check_order(order: int, allow_unstable: bool) -> None:
+    if order != int(order) or order < 1:
+        raise ValueError(f"order must be an integer >= 1, got {order!r}")
+    if order >= 7 and not allow_unstable:
+        raise ValueError(
+            f"BDF{order} is not zero-stable: its errors grow like a power of 1/step; "
+            "pass allow_unstable=True to see it fail"
+        )
+    if order == 6:
+        warnings.warn(
+            "BDF6 has no multiplier 1 - eta zeta: the stability proofs of both papers stop at 5",
+            stacklevel=3,
+        )
+
+
+def _count_steps(step: float, end: float, order: int) -> int:
+    if not (np.isfinite(step) and step > 0):
+        raise ValueError(f"step must be positive and finite, got {step!r}")
+    if not (np.isfinite(end) and end >= 0):
+        raise ValueError(f"end must be finite and not negative, got {end!r}")
+    n_steps = round(end / step)
+    if abs(end / step - n_steps) > 1e-9 * max(1, n_steps):
+        raise ValueError(f"end/step must be an integer, got {end!r}/{step!r} = {end / step!r}")
+    if n_steps < order - 1:
+        raise ValueError(
+            f"end must be at least (p - 1) step = {(order - 1) * step:g} for p = {order}, "
+            f"got {end!r}"
+        )
+    return n_steps
+
+
+March = Callable[[int, float, Sequence[State], Iterable[tuple[int, float]], str], Iterator[State]]
+
+
+def _run(
+    space: SurfaceSpace,
+    problem: Problem,
+    order: int,
+    step: float,
+    n_steps: int,
+    start: str | Sequence[State],
+    mass: str,
+    march: March,
+) -> Iterator[State]:
+    if start == "exact":
+        states = [_exact_state(space, problem, n * step) for n in range(order)]
+    elif start == "euler":
+        states = _euler_states(space, problem, order, step, march)
+    else:
+        states = list(start)  # type: ignore[arg-type]
+    yield from states
+    times = ((n, n * step) for n in range(order, n_steps + 1))
+    yield from march(order, step, states, times, mass)
+
+
+def _exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
+    assert problem.exact is not None
+    x = np.array(problem.exact.x(space.nodes, t), dtype=float)
+    return State(t, x, None, np.array(problem.exact.u(x, t), dtype=float))
+
+
+def _euler_states(
+    space: SurfaceSpace, problem: Problem, order: int, step: float, march: March
+) -> list[State]:
+    """Starting values of order p: Euler with step/1, ..., step/p, extrapolated to step 0.
+
+    The error of a one-step method has an expansion in powers of the step. Euler with updated mass
+    matrices is one; (2.19), with M(x^{n-1}) in step n but M(x^0) in both step 0 and step 1, is not.
+    """
+    states = [State(0.0, space.nodes.copy(), None, problem.initial_values(space.nodes))]
+    for n in range(1, order):
+        last = states[-1]
+        rows: list[tuple[Array, Array]] = []  # Aitken-Neville, one row per number of substeps
+        for m in range(1, order + 1):
+            times = ((n, last.t + (i + 1) * step / m) for i in range(m))
+            *_, euler = march(1, step / m, [last], times, "updated")
+            x, u = euler.x, euler.u
+            row = [(x, u)]
+            for i, (x_old, u_old) in enumerate(rows, start=1):
+                ratio = m / (m - i) - 1
+                x, u = x + (x - x_old) / ratio, u + (u - u_old) / ratio
+                row.append((x, u))
+            rows = row
+        states.append(State(n * step, x, None, u))
+    return states
+
+
+def _march(
+    space: SurfaceSpace,
+    problem: Problem,
+    order: int,
+    step: float,
+    states: Sequence[State],
+    times: Iterable[tuple[int, float]],
+    mass: str,
+    *,
+    make_solver: Callable[[], Solver],
+) -> Iterator[State]:
+    """Step from p states through the given (number, time) pairs."""
+    d, extrapolate = delta(order), partial(_combine, gamma(order))
+    xs = deque((s.x for s in reversed(states)), maxlen=order)  # newest first
+    us = deque((s.u for s in reversed(states)), maxlen=order)
+    vs: deque[Array] = deque(maxlen=order)
+    # There is no extrapolation at the first p levels: M(x^j) is taken, as in (7.2).
+    Mus = deque((_mass_times(space, s.x, s.u) for s in reversed(states)), maxlen=order)
+    u_solver, v_solver = make_solver(), make_solver()
+    normals: Array | None = None
+
+    for n, t in times:
+        try:
+            u_guess = extrapolate(us)
+            x_past = _combine(d[1:], xs)
+            if problem.motion is not None:
+                x = np.array(problem.motion(space.nodes, t), dtype=float)
+                x_tilde = x
+                M, A = space.mass_stiffness(x_tilde)
+                v = (d[0] * x + x_past) / step
+            else:
+                x_tilde = extrapolate(xs)
+                M, A = space.mass_stiffness(x_tilde)
+                normals = _turn(space.normals(x_tilde), normals)
+                # (2.20) with x^n = (tau v^n - x_past)/delta_0 from (2.21). Solving for v and not
+                # for x avoids the division of x's rounding errors by tau.
+                c = problem.beta / d[0]
+                b = c * (A @ x_past)
+                if problem.g is not None:
+                    g = _source(problem.g, "g", space, x_tilde, u_guess, t)
+                    b += space.load(x_tilde, g[..., None] * normals)
+                v_guess = _combine(gamma(len(vs)), vs) if vs else np.zeros_like(x_tilde)
+                v = v_solver.solve(M + (problem.alpha + step * c) * A, b, v_guess)
+                x = (step * v - x_past) / d[0]
+                if mass == "updated":
+                    M = space.mass_stiffness(x)[0]
+            b = -_combine(d[1:], Mus) / step
+            if problem.f is not None:
+                b += space.load(x_tilde, _source(problem.f, "f", space, x_tilde, u_guess, t))
+            u = _diffuse(problem, u_solver, d[0] / step, M, A, b, u_guess)
+            if not (np.isfinite(u).all() and np.isfinite(x).all()):
+                raise FloatingPointError("the solution is not finite")
+            if mass == "reassembled" and problem.motion is None:
+                Mus.appendleft(_mass_times(space, x, u))
+            else:
+                Mus.appendleft(M @ u)
+        except DegenerateElementError as error:
+            raise EvolutionError(str(error), n, t, error.element) from error
+        except (FloatingPointError, np.linalg.LinAlgError) as error:
+            raise EvolutionError(str(error), n, t) from error
+        xs.appendleft(x)
+        us.appendleft(u)
+        vs.appendleft(v)
+        yield State(t, x, v, u)
+
+
+def _combine(coefficients: Array, values: Iterable[Array]) -> Array:
+    """Sum of coefficients[j] values[j]."""
+    pairs = zip(coefficients, values, strict=True)
+    c, first = next(pairs)
+    total = c * first
+    for c, value in pairs:
+        total += c * value
+    return total
+
+
+def _mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
+    """M(x) u = (int u_h phi_j)_j, without the matrix."""
+    return space.load(x, space.evaluate(u))
+
+
+def _source(
+    function: Callable[..., Array], name: str, space: SurfaceSpace, x: Array, u: Array, t: float
+) -> Array:
+    """Values of f or g at the quadrature points of Γ_h[x]."""
+    u_q = space.evaluate(u)
+    values = function(u_q, space.gradient(x, u), space.quadrature_points(x), t)
+    values = np.asarray(values, dtype=float)
+    allowed = (u_q.shape,) if name == "f" else (u_q.shape[:2],)
+    if values.shape not in allowed:
+        raise ValueError(f"{name} must return an array of shape {allowed[0]}, got {values.shape}")
+    finite = np.isfinite(values)
+    if not finite.all():
+        element, point = np.argwhere(~finite)[0, :2].tolist()
+        where = np.array2string(space.quadrature_points(x)[element, point], precision=4)
+        raise DegenerateElementError(
+            f"{name} returned {values[element, point]} in element {element} at {where}", element
+        )
+    return values
+
+
+def _turn(normals: Array, previous: Array | None) -> Array:
+    """Return the normals, unless some element has turned over since the previous step."""
+    if previous is not None:
+        turned = np.einsum("tqi,tqi->tq", normals, previous) <= 0
+        if turned.any():
+            element = int(np.argmax(turned.any(axis=1)))
+            raise DegenerateElementError(
+                f"element {element} has turned over: its normal changed by more than a right "
+                "angle within a step",
+                element,
+            )
+    return normals
+
+
+def _diffuse(
+    problem: Problem, solver: Solver, weight: float, M: Array, A: Array, b: Array, guess: Array
+) -> Array:
+    """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
+    if b.ndim == 1 or np.ndim(problem.diffusivity) == 0:
+        return solver.solve(weight * M + problem.diffusivity * A, b, guess)
+    u = np.empty_like(b)
+    for D in np.unique(problem.diffusivity):
+        same = np.broadcast_to(problem.diffusivity, b.shape[1:]) == D
+        u[:, same] = solver.solve(weight * M + D * A, b[:, same], guess[:, same])
+    return u

@@ -1,0 +1,302 @@
+"""The surface finite element space S_h[x] ([N] 2.8).
+
+Topology never changes; geometry is an (N, 3) array x of node positions. Γ_h[x] is "the space,
+at x", and every method that depends on the geometry takes x as its first argument.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from esfem_core.assembly import ElementTables, Metric, NodalSum, SparsePattern, chunks
+from esfem_core.lagrange import node_indices, tabulate
+from esfem_core.quadrature import triangle_rule
+from esfem_core.triangulation import check_triangulation
+
+__all__ = ["SurfaceSpace"]
+
+Array = NDArray[np.float64]
+
+
+class SurfaceSpace:
+    """Continuous piecewise polynomials of degree k on a closed triangulated surface.
+
+    Parameters
+    ----------
+    tri : trimesh.Trimesh
+        Closed, oriented outwards; see :func:`esfem_core.check_triangulation`.
+    degree : int
+        Polynomial degree k of both functions and geometry, 1 or more.
+    project : callable, optional
+        (n, 3) -> (n, 3), moves the new nodes from the flat triangles to the surface, as in
+        [N] 7.1, for example :func:`esfem_core.to_unit_sphere`. The triangulation's own vertices
+        stay where they are.
+    exactness : int, optional
+        Degree up to which the quadrature is exact on the reference triangle. Default 2k: mass and
+        stiffness matrices of flat elements are then exact, and on curved elements the error of
+        quadrature is of higher order than that of the geometry.
+
+    Attributes
+    ----------
+    nodes : (N, 3) float array
+        Node positions on the initial surface, first the triangulation's vertices in their order.
+    cells : (T, (k+1)(k+2)/2) int array
+        Node numbers of each element in VTK's Lagrange order, triangles in their order.
+    degree : int
+    rule : TriangleRule
+        Points and weights of the quadrature, Q of them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `tri` is unfit, a number out of range, or `project` does not return finite points of
+        the shape it was given.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), degree=2, project=ec.to_unit_sphere)
+    >>> space
+    SurfaceSpace(degree=2, nodes=258, cells=128, quadrature points per cell=6)
+    >>> M, A = space.mass_stiffness(space.nodes)
+    >>> print(f"{M.sum() / (4 * np.pi):.6f}")
+    0.999317
+    """
+
+    def __init__(
+        self,
+        tri: trimesh.Trimesh,
+        degree: int = 1,
+        project: Callable[[Array], Array] | None = None,
+        exactness: int | None = None,
+    ) -> None:
+        if degree != int(degree) or degree < 1:
+            raise ValueError(f"degree must be an integer >= 1, got {degree!r}")
+        check_triangulation(tri)
+        self.degree = int(degree)
+        self.rule = triangle_rule(2 * self.degree if exactness is None else exactness)
+        basis = tabulate(self.degree, self.rule.points)
+        vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
+        self.cells = _number_cells(faces, self.degree)
+        self.nodes = _place_nodes(vertices, faces, self.cells, self.degree, project)
+        self._tables = ElementTables(basis, self.rule)
+        self._pattern = SparsePattern(self.cells, self._tables.pairs, len(self.nodes))
+        self._sum = NodalSum(self.cells, len(self.nodes))
+        self._cells_last = np.ascontiguousarray(self.cells.T)  # (n, T)
+
+    def __repr__(self) -> str:
+        return (
+            f"SurfaceSpace(degree={self.degree}, nodes={len(self.nodes)}, "
+            f"cells={len(self.cells)}, quadrature points per cell={len(self.rule.weights)})"
+        )
+
+    def mass_stiffness(self, x: Array) -> tuple[csr_array, csr_array]:
+        """Mass and stiffness matrix on Γ_h[x] ([N] 2.10).
+
+        M(x)_ij = int phi_i phi_j,  A(x)_ij = int grad phi_i . grad phi_j.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+            Node positions.
+
+        Returns
+        -------
+        M, A : (N, N) CSR arrays
+            Symmetric, of one fixed sparsity pattern (shared index arrays), with fresh data.
+
+        Raises
+        ------
+        ValueError
+            If `x` has another shape.
+        DegenerateElementError
+            If an element has no area or a position is not finite.
+        """
+        nodes = self._positions(x)
+        n_cells = len(self.cells)
+        mass = np.empty((self._tables.pairs.shape[1], n_cells))
+        stiffness = np.empty_like(mass)
+        for c in chunks(n_cells):
+            mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(
+                nodes[:, self._cells_last[:, c]], c.start
+            )
+        return self._pattern.matrix(mass), self._pattern.matrix(stiffness)
+
+    def load(self, x: Array, values: Array) -> Array:
+        """Load vector b_j = int_{Γ_h[x]} values phi_j, by quadrature.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        values : (T, Q, ...) float array
+            Integrand at the quadrature points.
+
+        Returns
+        -------
+        (N, ...) float array
+
+        Raises
+        ------
+        ValueError
+            If an argument has the wrong shape.
+        DegenerateElementError
+            If an element has no area or a position is not finite.
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+        >>> b = space.load(space.nodes, np.ones((len(space.cells), 6)))
+        >>> M, A = space.mass_stiffness(space.nodes)
+        >>> bool(np.allclose(b, M @ np.ones(len(b)), rtol=0, atol=1e-15))
+        True
+        """
+        values = np.asarray(values, dtype=float)
+        expected = (len(self.cells), len(self.rule.weights))
+        if values.shape[:2] != expected:
+            raise ValueError(f"values must have shape {(*expected, '...')}, got {values.shape}")
+        nodes = self._positions(x)
+        trailing = values.shape[2:]
+        by_point = values.reshape(*expected, -1).transpose(2, 1, 0)  # (m, Q, T)
+        out = np.empty((self.cells.shape[1], expected[0], by_point.shape[0]))
+        test_functions = np.ascontiguousarray((self._tables.values * self._tables.weights).T)
+        for c in chunks(expected[0]):
+            density = self._metric(nodes, c).s
+            out[:, c] = (test_functions @ (density * by_point[:, :, c])).transpose(1, 2, 0)
+        return self._sum(out).reshape(-1, *trailing)
+
+    def evaluate(self, u: Array) -> Array:
+        """Values of a finite element function at the quadrature points.
+
+        Parameters
+        ----------
+        u : (N, ...) float array
+            Nodal values.
+
+        Returns
+        -------
+        (T, Q, ...) float array
+
+        Raises
+        ------
+        ValueError
+            If `u` does not have one row per node.
+        """
+        local = self._local(u)
+        return self._points_last(self._tables.values @ local, np.shape(u)[1:])
+
+    def gradient(self, x: Array, u: Array) -> Array:
+        """Surface gradient of a finite element function at the quadrature points of Γ_h[x].
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        u : (N, ...) float array
+            Nodal values.
+
+        Returns
+        -------
+        (T, Q, ..., 3) float array
+            The last index is that of the derivative: for a vector field ``[..., i, j]`` is the
+            j-th tangential derivative of component i.
+
+        Raises
+        ------
+        ValueError
+            If an argument has the wrong shape.
+        DegenerateElementError
+            If an element has no area or a position is not finite.
+        """
+        nodes, local = self._positions(x), self._local(u)
+        out = np.empty((len(local), 3, len(self.rule.weights), len(self.cells)))
+        for c in chunks(len(self.cells)):
+            out[..., c] = self._tables.gradient(self._metric(nodes, c), local[:, :, c])
+        return self._points_last(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
+
+    def quadrature_points(self, x: Array) -> Array:
+        """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3)."""
+        return self.evaluate(np.asarray(x))
+
+    def normals(self, x: Array) -> Array:
+        """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
+        nodes = self._positions(x)
+        out = np.empty((3, len(self.rule.weights), len(self.cells)))
+        for c in chunks(len(self.cells)):
+            out[..., c] = self._metric(nodes, c).normals()
+        return out.transpose(2, 1, 0)
+
+    def mesh_size(self, x: Array) -> float:
+        """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""
+        corners = np.asarray(x)[self.cells[:, :3]]
+        return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+
+    def _metric(self, nodes: Array, c: slice) -> Metric:
+        return self._tables.metric(nodes[:, self._cells_last[:, c]], c.start)
+
+    def _positions(self, x: Array) -> Array:
+        """Node positions with the coordinate first, (3, N)."""
+        x = np.asarray(x, dtype=float)
+        if x.shape != self.nodes.shape:
+            raise ValueError(f"x must have shape {self.nodes.shape}, got {x.shape}")
+        return np.ascontiguousarray(x.T)
+
+    def _local(self, u: Array) -> Array:
+        """Nodal values by element, (m, n, T)."""
+        u = np.asarray(u, dtype=float)
+        if u.ndim == 0 or len(u) != len(self.nodes):
+            raise ValueError(f"u must have {len(self.nodes)} rows, one per node, got {u.shape}")
+        return np.ascontiguousarray(u.reshape(len(u), -1).T)[:, self._cells_last]
+
+    @staticmethod
+    def _points_last(values: Array, trailing: tuple[int, ...]) -> Array:
+        """Turn (m, Q, T) into (T, Q, *trailing)."""
+        _, n_points, n_cells = values.shape
+        return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)
+
+
+def _number_cells(faces: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
+    """Number the nodes of each element: vertices, then nodes on edges, then interior nodes."""
+    n_vertices, n_cells, per_edge = int(faces.max()) + 1, len(faces), degree - 1
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, number = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    along = np.arange(per_edge)
+    # Both neighbours number an edge's nodes from its smaller vertex to its larger.
+    position = np.where((directed[:, 0] < directed[:, 1])[:, None], along, along[::-1])
+    on_edges = n_vertices + number.reshape(-1, 1) * per_edge + position
+    per_cell = per_edge * (per_edge - 1) // 2
+    inside = np.arange(n_cells * per_cell).reshape(n_cells, per_cell)
+    return np.hstack(
+        [
+            faces,
+            on_edges.reshape(n_cells, 3 * per_edge),
+            n_vertices + len(edges) * per_edge + inside,
+        ]
+    )
+
+
+def _place_nodes(
+    vertices: Array,
+    faces: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    degree: int,
+    project: Callable[[Array], Array] | None,
+) -> Array:
+    """Put nodes at equal distances on the flat triangles, then project the new ones."""
+    barycentric = node_indices(degree) / degree
+    nodes = np.empty((int(cells.max()) + 1, 3))
+    nodes[cells] = barycentric @ vertices[faces]
+    nodes[: len(vertices)] = vertices
+    if project is None:
+        return nodes
+    new = nodes[len(vertices) :]
+    moved = np.asarray(project(new.copy()), dtype=float)
+    if moved.shape != new.shape:
+        raise ValueError(f"project must return an array of shape {new.shape}, got {moved.shape}")
+    if not np.isfinite(moved).all():
+        i = int(np.argmin(np.isfinite(moved).all(axis=1)))
+        raise ValueError(f"project returned {moved[i].tolist()} for the point {new[i].tolist()}")
+    nodes[len(vertices) :] = moved
+    return nodes
