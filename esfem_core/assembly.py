@@ -25,6 +25,7 @@ __all__ = ["DegenerateElementError", "ElementTables", "SparsePattern"]
 
 CHUNK = 2048  # elements treated at a time, so that their arrays stay in the cache
 FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
+ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
 Array = NDArray[np.float64]
 
@@ -99,19 +100,19 @@ class ElementTables:
         n_points = len(self.weights)
         tangents = self.gradients @ nodes
         t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
-        E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
         # A degenerate or overflowing element is recognised and reported below.
         with np.errstate(invalid="ignore", over="ignore"):
+            E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
             s2 = E * G - F * F
-            sound = s2 > (FLATNESS / 2 * (E + G)) ** 2
-        if not sound.all() or not np.isfinite(s2).all():
-            bad = int(np.argmax((~sound | ~np.isfinite(s2)).any(axis=0)))
-            what = "is degenerate" if np.isfinite(nodes[:, :, bad]).all() else "is not finite"
-            center = nodes[:, :3, bad].mean(axis=1)
-            raise DegenerateElementError(
-                f"element {first + bad} near {np.array2string(center, precision=4)} {what}",
-                first + bad,
-            )
+            smallest = (ROUNDING * np.abs(nodes[:, 0]).max()) ** 2
+            sound = s2 > (FLATNESS / 2 * (E + G) + smallest) ** 2
+        for good, what in ((np.isfinite(s2), "is not finite"), (sound, "is degenerate")):
+            if not good.all():
+                bad = int(np.argmin(good.all(axis=0)))
+                center = np.array2string(nodes[:, :3, bad].mean(axis=1), precision=4)
+                raise DegenerateElementError(
+                    f"element {first + bad} near {center} {what}", first + bad
+                )
         return Metric(t1, t2, E, F, G, np.sqrt(s2))
 
     def mass_stiffness(self, nodes: Array, first: int = 0) -> tuple[Array, Array]:
@@ -132,7 +133,7 @@ class ElementTables:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    out = a[0] * b[0]
+    out: Array = a[0] * b[0]
     out += a[1] * b[1]
     out += a[2] * b[2]
     return out
@@ -155,9 +156,7 @@ class SparsePattern:
         N.
     """
 
-    def __init__(
-        self, cells: NDArray[np.int64], pairs: NDArray[np.int64], n_nodes: int
-    ) -> None:
+    def __init__(self, cells: NDArray[np.int64], pairs: NDArray[np.int64], n_nodes: int) -> None:
         a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
         keys = (np.minimum(a, b).astype(np.int64) * n_nodes + np.maximum(a, b)).ravel()
         order = np.argsort(keys, kind="stable")
@@ -181,7 +180,8 @@ class SparsePattern:
         )
         full.sort_indices()
         self._mirror = full.data
-        self.indices, self.indptr = full.indices, full.indptr
+        self.indices = full.indices.astype(np.int32)
+        self.indptr = full.indptr.astype(np.int32)
         self.shape = full.shape
 
     def matrix(self, entries: Array) -> csr_array:

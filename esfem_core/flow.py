@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.bdf import delta, gamma
@@ -315,7 +316,7 @@ def _combine(coefficients: Array, values: Iterable[Array]) -> Array:
     """Sum of coefficients[j] values[j]."""
     pairs = zip(coefficients, values, strict=True)
     c, first = next(pairs)
-    total = c * first
+    total: Array = c * first
     for c, value in pairs:
         total += c * value
     return total
@@ -361,7 +362,13 @@ def _turn(normals: Array, previous: Array | None) -> Array:
 
 
 def _diffuse(
-    problem: Problem, solver: Solver, weight: float, M: Array, A: Array, b: Array, guess: Array
+    problem: Problem,
+    solver: Solver,
+    weight: float,
+    M: csr_array,
+    A: csr_array,
+    b: Array,
+    guess: Array,
 ) -> Array:
     """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
     if b.ndim == 1 or np.ndim(problem.diffusivity) == 0:

@@ -39,7 +39,8 @@ class LaggedSolver:
     ----------
     rtol : float
         The Euclidean norm of each column's residual is brought below ``rtol`` times that of its
-        right-hand side (or to rounding level, whichever is larger).
+        right-hand side (or to rounding level, whichever is larger), and the sum of its entries to
+        zero: a finite element solution then has its exact integral.
     patience : int
         The matrix at hand is factorised anew as soon as a solve has taken more iterations than
         this, so that a factorisation is worth its price.
@@ -87,8 +88,14 @@ class LaggedSolver:
         ------
         numpy.linalg.LinAlgError
             If the residual asked for is not reached with a factorisation of `A` itself.
+        FloatingPointError
+            If the norm of a right-hand side is not finite.
         """
         columns, x = b.reshape(len(b), -1), guess.reshape(len(b), -1).copy()
+        x[:, ~columns.any(axis=0)] = 0.0
+        with np.errstate(over="ignore"):
+            if not np.isfinite(np.linalg.norm(columns)):
+                raise FloatingPointError("the right-hand side of a linear system is not finite")
         done = False
         if self._factor is not None:
             done = self._conjugate_gradients(A, columns, x, self.patience)
@@ -106,13 +113,15 @@ class LaggedSolver:
     def _conjugate_gradients(self, A: csr_array, b: Array, x: Array, limit: int) -> bool:
         """Improve x in place, all columns at once; tell whether the residuals are small enough."""
         assert self._factor is not None
-        norm_A, norm_b = abs(A).sum(axis=1).max(), np.linalg.norm(b, axis=0)
-        eps = np.finfo(float).eps
+        norm_b = np.linalg.norm(b, axis=0)
+        # The largest entry of a positive definite matrix is on its diagonal and bounds the
+        # rounding errors in A x, below which no residual can be brought.
+        rounding = 4 * np.finfo(float).eps * A.data.max()
         r = b - A @ x
         p = np.zeros_like(r)
         rz_old = np.ones(b.shape[1])
         for _ in range(limit):
-            if self._small(r, x, norm_A, norm_b, eps):
+            if _all_small(r, x, 0.7 * self.rtol * norm_b, rounding):
                 break
             z = self._factor.solve(r)
             rz = np.einsum("ij,ij->j", r, z)
@@ -125,13 +134,17 @@ class LaggedSolver:
             rz_old = np.where(rz > 0, rz, 1.0)
             self.iterations += 1
         # The recursion drifts from the residual by rounding: what counts is the residual itself.
-        return bool(self._small(b - A @ x, x, norm_A, norm_b, 8 * eps))
+        r = b - A @ x
+        row_sums = A.sum(axis=1)
+        shift = r.sum(axis=0) / row_sums.sum()
+        x += shift
+        r -= np.outer(row_sums, shift)
+        return _all_small(r, x, self.rtol * norm_b, 8 * rounding)
 
-    def _small(self, r: Array, x: Array, norm_A: float, norm_b: Array, eps: float) -> bool:
-        bound = np.maximum(
-            self.rtol * norm_b, eps * (norm_A * np.linalg.norm(x, axis=0) + norm_b)
-        )
-        return bool((np.linalg.norm(r, axis=0) <= bound).all())
+
+def _all_small(r: Array, x: Array, bound: Array, rounding: float) -> bool:
+    norm_x = np.linalg.norm(x, axis=0)
+    return bool((np.linalg.norm(r, axis=0) <= np.maximum(bound, rounding * norm_x)).all())
 
 
 def factorise(A: csr_array) -> SuperLU:

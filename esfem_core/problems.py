@@ -117,9 +117,7 @@ class Problem:
         return values
 
 
-def expanding_sphere(
-    coupling: str = "smooth", alpha: float = 1.0, beta: float = 1.0
-) -> Problem:
+def expanding_sphere(coupling: str = "smooth", alpha: float = 1.0, beta: float = 1.0) -> Problem:
     r"""[N] 7.3: a sphere of radius r(t) = 1 + sin(pi t)/2 with u = a(t) x1 x2 x3, a = exp(-t^2).
 
     x1 x2 x3 is an eigenfunction of the Laplace-Beltrami operator for -12/r^2, so that

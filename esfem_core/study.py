@@ -49,7 +49,8 @@ def observed_orders(sizes: Sequence[float] | Array, values: Sequence[float] | Ar
     array([2., 2.])
     """
     h, e = np.log(np.asarray(sizes, dtype=float)), np.log(np.asarray(values, dtype=float))
-    return (e[:-1] - e[1:]) / (h[:-1] - h[1:])
+    orders: Array = (e[:-1] - e[1:]) / (h[:-1] - h[1:])
+    return orders
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def time_study(
     >>> table = time_study(space, problem, 2, [1 / 20, 1 / 40, 1 / 80], 1.0)
     >>> print(table.select("x_l2"))
           tau       x_l2      order
-         0.05   1.27e-02           
+         0.05   1.27e-02
         0.025   3.19e-03       2.00
        0.0125   7.82e-04       2.03
     """

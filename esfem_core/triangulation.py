@@ -1,4 +1,4 @@
-"""Closed triangulations: the spheres of both papers, and the check that a mesh is fit for the theory.
+"""Closed triangulations: the spheres of both papers, and what a mesh must be for the theory.
 
 A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or returns one.
 """
@@ -31,7 +31,8 @@ def to_unit_sphere(points: NDArray[np.float64]) -> NDArray[np.float64]:
     >>> to_unit_sphere(np.array([[0.0, 3.0, 4.0]]))
     array([[0. , 0.6, 0.8]])
     """
-    return points / np.linalg.norm(points, axis=-1, keepdims=True)
+    unit: NDArray[np.float64] = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    return unit
 
 
 def sphere(kind: str = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
@@ -199,7 +200,7 @@ def _check_fans(n_vertices: int, faces: NDArray[np.int64]) -> None:
     n = 3 * len(faces)
     corner = np.arange(n).reshape(-1, 3)
     start, end = faces, np.roll(faces, -1, axis=1)
-    # The edge (i, j) of one triangle is (j, i) in its neighbour: corner i here meets corner i there.
+    # Edge (i, j) of one triangle is (j, i) in its neighbour: corner i here meets corner i there.
     here = np.lexsort((end.ravel(), start.ravel()))
     there = np.lexsort((start.ravel(), end.ravel()))
     at_start, at_end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()

@@ -1,0 +1,98 @@
+"""Making a space: numbering, nodes, and what is refused."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import esfem_core as ec
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+def test_numbers_of_nodes_follow_euler(degree):
+    """N = V + (k-1) E + (k-1)(k-2)/2 T."""
+    for tri in (ec.sphere("icosahedron", 1), trimesh.creation.torus(2.0, 0.6)):
+        space = ec.SurfaceSpace(tri, degree)
+        V, T = len(tri.vertices), len(tri.faces)
+        expected = V + (degree - 1) * 3 * T // 2 + (degree - 1) * (degree - 2) // 2 * T
+        assert space.nodes.shape == (expected, 3)
+        assert len(np.unique(space.cells)) == expected
+        np.testing.assert_array_equal(space.cells[:, :3], tri.faces)
+        np.testing.assert_array_equal(space.nodes[:V], tri.vertices)
+
+
+@pytest.mark.parametrize("degree", [2, 3, 4, 5])
+def test_neighbours_share_the_nodes_of_their_edge(degree):
+    """Without projection the nodes lie at equal distances: different numbers, different places."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), degree)
+    rounded = np.unique(space.nodes.round(12), axis=0)
+    assert len(rounded) == len(space.nodes)
+
+
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_new_nodes_are_projected_and_vertices_stay(degree):
+    tri = ec.sphere("octahedron", 1)
+    tri.vertices[0] *= 1.1
+    space = ec.SurfaceSpace(tri, degree, ec.to_unit_sphere)
+    radius = np.linalg.norm(space.nodes, axis=1)
+    assert radius[0] == pytest.approx(1.1)
+    np.testing.assert_allclose(radius[1:], 1, atol=1e-15)
+
+
+def test_evaluate_interpolates_polynomials():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 3)
+    points = space.quadrature_points(space.nodes)
+    cubic = space.evaluate(space.nodes[:, 0] ** 3 - space.nodes[:, 1] * space.nodes[:, 2])
+    np.testing.assert_allclose(
+        cubic, points[..., 0] ** 3 - points[..., 1] * points[..., 2], atol=1e-14
+    )
+
+
+def test_shapes_of_points_and_components():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), 2, exactness=6)
+    T, Q = 8, 12
+    x = space.nodes
+    u = np.zeros((len(x), 5, 2))
+    assert space.evaluate(u).shape == (T, Q, 5, 2)
+    assert space.gradient(x, u).shape == (T, Q, 5, 2, 3)
+    assert space.gradient(x, u[:, 0, 0]).shape == (T, Q, 3)
+    assert space.quadrature_points(x).shape == space.normals(x).shape == (T, Q, 3)
+    assert space.load(x, np.ones((T, Q, 5, 2))).shape == (len(x), 5, 2)
+
+
+def test_mesh_size():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), 3, ec.to_unit_sphere)
+    assert space.mesh_size(space.nodes) == pytest.approx(np.sqrt(2))
+    assert space.mesh_size(3 * space.nodes) == pytest.approx(3 * np.sqrt(2))
+
+
+TRI = ec.sphere("octahedron", 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"degree": 0}, "degree must be an integer >= 1, got 0"),
+        ({"degree": 1.5}, "degree must be an integer >= 1, got 1.5"),
+        ({"degree": 2, "exactness": -1}, "exactness must be an integer >= 0"),
+        (
+            {"degree": 2, "project": lambda p: p[:2]},
+            r"project must return .* \(48, 3\), got \(2, 3\)",
+        ),
+        ({"degree": 2, "project": lambda p: p / 0.0}, "project returned .* for the point"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
+def test_space_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ec.SurfaceSpace(TRI, **arguments)
+
+
+def test_methods_refuse_wrong_shapes():
+    space = ec.SurfaceSpace(TRI, 2)
+    n = len(space.nodes)
+    with pytest.raises(ValueError, match=rf"x must have shape \({n}, 3\), got \(18, 3\)"):
+        space.mass_stiffness(space.nodes[:18])
+    with pytest.raises(ValueError, match=rf"u must have {n} rows, one per node, got \(5,\)"):
+        space.evaluate(np.zeros(5))
+    with pytest.raises(ValueError, match=r"values must have shape \(32, 6, '...'\), got \(6, 32\)"):
+        space.load(space.nodes, np.zeros((6, 32)))
