@@ -76,7 +76,7 @@ class ElementTables:
         a, b = np.triu_indices(phi.shape[1])
         self.values = phi
         self.gradients = np.vstack([d1, d2])  # (2Q, n)
-        self.weights = w[:, None]
+        self.tests = np.ascontiguousarray((phi * w[:, None]).T)  # (n, Q)
         self.pairs = np.stack([a, b])  # local index pairs a <= b of the symmetric half
         self.mass = np.ascontiguousarray((phi[:, a] * phi[:, b]).T * w)  # (P, Q)
         cross = -(d1[:, a] * d2[:, b] + d2[:, a] * d1[:, b])
@@ -97,7 +97,7 @@ class ElementTables:
         ------
         DegenerateElementError
         """
-        n_points = len(self.weights)
+        n_points = len(self.values)
         tangents = self.gradients @ nodes
         t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
         # A degenerate or overflowing element is recognised and reported below.
@@ -115,16 +115,15 @@ class ElementTables:
                 )
         return Metric(t1, t2, E, F, G, np.sqrt(s2))
 
-    def mass_stiffness(self, nodes: Array, first: int = 0) -> tuple[Array, Array]:
+    def mass_stiffness(self, g: Metric) -> tuple[Array, Array]:
         """Element mass and stiffness entries of the index pairs a <= b, each (P, C)."""
-        g = self.metric(nodes, first)
         factors = np.concatenate([g.G, g.F, g.E]).reshape(3, *g.s.shape)
         factors /= g.s
         return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
 
     def gradient(self, g: Metric, u: Array) -> Array:
         """Surface gradient (m, 3, Q, C) of the nodal values u (m, n, C)."""
-        n_points = len(self.weights)
+        n_points = len(self.values)
         du = self.gradients @ u
         u1, u2 = du[:, :n_points], du[:, n_points:]
         s2 = g.s * g.s
@@ -196,7 +195,7 @@ class SparsePattern:
 
 
 class NodalSum:
-    """Sum of element vectors (n, T, ...) into nodal vectors (N, ...); made once per space."""
+    """Sum of element vectors (m, n, T) into nodal vectors (N, m); made once per space."""
 
     def __init__(self, cells: NDArray[np.int64], n_nodes: int) -> None:
         nodes = cells.T.ravel()
@@ -208,5 +207,4 @@ class NodalSum:
         )
 
     def __call__(self, entries: Array) -> Array:
-        flat = entries.reshape(self._gather.shape[1], -1)
-        return (self._gather @ flat).reshape(-1, *entries.shape[2:])
+        return np.column_stack([self._gather @ entry.ravel() for entry in entries])

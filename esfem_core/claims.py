@@ -8,33 +8,33 @@ recomputes it from the same numbers.
 from __future__ import annotations
 
 import html
+import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 __all__ = [
     "CONFIRMED",
     "CORRECTED",
-    "KEY",
     "NOT_CONFIRMED",
+    "SIGNS",
     "Claim",
     "Measurement",
     "anchor",
     "claim",
     "measure",
+    "read_html",
 ]
 
 CONFIRMED = "confirmed"
 CORRECTED = "confirmed with a correction"
 NOT_CONFIRMED = "not confirmed"
 
-#: Key under which the metadata of a notebook's output carry a claim.
-KEY = "esfem_claim"
-
 _ID = re.compile(r"[A-Z]+-[A-Z]?\d+(\.\d+)*(-[a-z][a-z0-9]*)+")
-_SYMBOL = {CONFIRMED: "✓", CORRECTED: "≈", NOT_CONFIRMED: "✗"}
+#: A sign for each verdict, so that none depends on colour alone.
+SIGNS = {CONFIRMED: "✓", CORRECTED: "≈", NOT_CONFIRMED: "✗"}
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,11 @@ class Measurement:
         return " and ".join(parts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Claim:
     """A claim with the measurements that test it; made by `claim`.
 
-    In a notebook it shows itself as a small box. The metadata of that output hold it as JSON under
-    `KEY`: the measurements, but no verdict, since a verdict is always computed.
+    In a notebook it shows itself as a small box, whose HTML carries the data for `read_html`.
     """
 
     id: str
@@ -100,18 +99,10 @@ class Claim:
             return CORRECTED
         return NOT_CONFIRMED
 
-    @property
-    def symbol(self) -> str:
-        """A sign for the verdict, so that it never depends on colour alone."""
-        return _SYMBOL[self.verdict]
-
-    @property
-    def anchor(self) -> str:
-        """The id without dots, as it stands in the links between check and ledger."""
-        return anchor(self.id)
-
     def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON data; values that JSON cannot hold (NaN, infinity) become strings.
+        """Return the measurements, without a verdict, as plain JSON data.
+
+        Values that JSON cannot hold (NaN, infinity) become strings.
 
         Examples
         --------
@@ -135,42 +126,35 @@ class Claim:
         )
         return claim(data["id"], *as_printed, corrected=corrected, note=data["note"])
 
-    def _groups(self) -> list[tuple[str, tuple[Measurement, ...]]]:
-        groups = [("as printed", self.as_printed), ("corrected", self.corrected)]
-        return [(label, group) for label, group in groups if group]
+    def _lines(self) -> list[tuple[str, Measurement]]:
+        printed = [("as printed", m) for m in self.as_printed]
+        return printed + [("corrected", m) for m in self.corrected]
 
-    def __str__(self) -> str:
-        lines = [f"{self.symbol} {self.id}: {self.verdict}"]
-        for label, group in self._groups():
-            lines += [
-                f"  {label}: {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
-                for m in group
-            ]
+    def __repr__(self) -> str:
+        lines = [f"{SIGNS[self.verdict]} {self.id}: {self.verdict}"]
+        lines += [
+            f"  {form}: {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
+            for form, m in self._lines()
+        ]
         return "\n".join([*lines, f"  {self.note}"] if self.note else lines)
 
-    def to_html(self) -> str:
-        """Return the box as HTML, with an anchor and a link to the ledger's row."""
+    def _repr_html_(self) -> str:
+        kind = self.verdict.replace(" ", "-")
         rows = "".join(
-            f"<tr><td>{html.escape(m.name)}</td><td>{label}</td><td>{m.value:.4g}</td>"
+            f"<tr><td>{html.escape(m.name)}</td><td>{form}</td><td>{m.value:.4g}</td>"
             f"<td>{html.escape(m.expected)}</td><td>{'✓ holds' if m.holds else '✗ fails'}</td></tr>"
-            for label, group in self._groups()
-            for m in group
+            for form, m in self._lines()
         )
         note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
-        kind = self.verdict.replace(" ", "-")
         return (
-            f'<div class="esfem-claim esfem-{kind}" id="check-{self.anchor}">'
-            f'<p><span class="esfem-verdict">{self.symbol} {self.verdict}</span> '
-            f'claim <a href="ledger.html#claim-{self.anchor}">{self.id}</a></p>'
+            f'<div class="esfem-claim esfem-{kind}" id="check-{anchor(self.id)}" '
+            f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
+            f'<p><span class="esfem-verdict">{SIGNS[self.verdict]} {self.verdict}</span> '
+            f'claim <a href="ledger.html#claim-{anchor(self.id)}">{self.id}</a></p>'
             '<div class="esfem-table"><table><thead><tr>'
             "<th>measured</th><th>form</th><th>value</th><th>must be</th><th>result</th>"
             f"</tr></thead><tbody>{rows}</tbody></table></div>{note}</div>"
         )
-
-    def _repr_mimebundle_(
-        self, include: object = None, exclude: object = None
-    ) -> tuple[dict[str, str], dict[str, Any]]:
-        return {"text/plain": str(self), "text/html": self.to_html()}, {KEY: self.to_dict()}
 
 
 def anchor(id: str) -> str:
@@ -266,7 +250,7 @@ def claim(
 
     Examples
     --------
-    >>> print(claim("N-2.22-delta", measure("largest difference", 1e-16, at_most=1e-15)))
+    >>> claim("N-2.22-delta", measure("largest difference", 1e-16, at_most=1e-15))
     ✓ N-2.22-delta: confirmed
       as printed: largest difference = 1e-16 (≤ 1e-15) ✓
     >>> printed, mended = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
@@ -285,3 +269,16 @@ def claim(
         if not isinstance(m, Measurement):
             raise ValueError(f"claim {id}: expected measure(...), got {m!r}")
     return Claim(id, as_printed, tuple(corrected), note)
+
+
+def read_html(text: str) -> Iterator[Claim]:
+    """Yield the claims in a piece of HTML, read from their measurements.
+
+    Examples
+    --------
+    >>> c = claim("N-2.22-delta", measure("difference < 1", 1e-16, at_most=1e-15))
+    >>> list(read_html(f"<p>{c._repr_html_()}</p>")) == [c]
+    True
+    """
+    for data in re.findall(r'data-claim="([^"]*)"', text):
+        yield Claim.from_dict(json.loads(html.unescape(data)))

@@ -3,6 +3,7 @@
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,7 +15,7 @@ from esfem_core.assembly import DegenerateElementError
 from esfem_core.bdf import delta, gamma
 from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver
 from esfem_core.problems import Problem
-from esfem_core.surface import SurfaceSpace
+from esfem_core.surface import Assembly, SurfaceSpace
 
 __all__ = ["EvolutionError", "State", "evolve"]
 
@@ -268,48 +269,90 @@ def _march(
     normals: Array | None = None
 
     for n, t in times:
-        try:
-            u_guess = extrapolate(us)
-            x_past = _combine(d[1:], xs)
+        with _naming_the_step(n, t):
+            u_tilde, x_past = extrapolate(us), _combine(d[1:], xs)
             if problem.motion is not None:
-                x = np.array(problem.motion(space.nodes, t), dtype=float)
-                x_tilde = x
-                M, A = space.mass_stiffness(x_tilde)
+                x_tilde = x = np.array(problem.motion(space.nodes, t), dtype=float)
+                at = space.assemble(x_tilde, None if problem.f is None else u_tilde)
                 v = (d[0] * x + x_past) / step
             else:
                 x_tilde = extrapolate(xs)
-                M, A = space.mass_stiffness(x_tilde)
-                normals = _turn(space.normals(x_tilde), normals)
-                # (2.20) with x^n = (tau v^n - x_past)/delta_0 from (2.21). Solving for v and not
-                # for x avoids the division of x's rounding errors by tau.
-                c = problem.beta / d[0]
-                b = c * (A @ x_past)
-                if problem.g is not None:
-                    g = _source(problem.g, "g", space, x_tilde, u_guess, t)
-                    b += space.load(x_tilde, g[..., None] * normals)
+                at = space.assemble(x_tilde, u_tilde)
+                normals = _turn(at.normals, normals)
                 v_guess = _combine(gamma(len(vs)), vs) if vs else np.zeros_like(x_tilde)
-                v = v_solver.solve(M + (problem.alpha + step * c) * A, b, v_guess)
+                v = _velocity(space, problem, v_solver, at, t, step / d[0], x_past / d[0], v_guess)
                 x = (step * v - x_past) / d[0]
-                if mass == "updated":
-                    M = space.mass_stiffness(x)[0]
+            M = space.mass_stiffness(x)[0] if mass == "updated" else at.M
             b = -_combine(d[1:], Mus) / step
             if problem.f is not None:
-                b += space.load(x_tilde, _source(problem.f, "f", space, x_tilde, u_guess, t))
-            u = _diffuse(problem, u_solver, d[0] / step, M, A, b, u_guess)
+                b += space.load_with(at.density, _source(problem.f, "f", at, t))
+            u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, u_tilde)
             if not (np.isfinite(u).all() and np.isfinite(x).all()):
                 raise FloatingPointError("the solution is not finite")
-            if mass == "reassembled" and problem.motion is None:
-                Mus.appendleft(_mass_times(space, x, u))
-            else:
-                Mus.appendleft(M @ u)
-        except DegenerateElementError as error:
-            raise EvolutionError(str(error), n, t, error.element) from error
-        except (FloatingPointError, np.linalg.LinAlgError) as error:
-            raise EvolutionError(str(error), n, t) from error
+            Mus.appendleft(_mass_times(space, x, u) if mass == "reassembled" else M @ u)
         xs.appendleft(x)
         us.appendleft(u)
         vs.appendleft(v)
         yield State(t, x, v, u)
+
+
+@contextmanager
+def _naming_the_step(n: int, t: float) -> Iterator[None]:
+    """Say in which step and at which time numbers or elements went bad."""
+    try:
+        yield
+    except DegenerateElementError as error:
+        raise EvolutionError(str(error), n, t, error.element) from error
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
+        raise EvolutionError(str(error), n, t) from error
+
+
+def _velocity(
+    space: SurfaceSpace,
+    problem: Problem,
+    solver: Solver,
+    at: Assembly,
+    t: float,
+    tau: float,
+    past: Array,
+    guess: Array,
+) -> Array:
+    """Solve K v + beta A x = g for v, where x = tau v - past, on the surface `at`.
+
+    These are (2.20) and (2.21), with delta_0 divided out of tau and of the past values. One
+    (N, N) matrix serves the three components. Solving for v and not for x avoids the division of
+    x's rounding errors by tau.
+    """
+    b = problem.beta * (at.A @ past)
+    if problem.g is not None:
+        g = _source(problem.g, "g", at, t)
+        b += space.load_with(at.density, g[..., None] * at.normals)
+    return solver.solve(_sum(1.0, at.M, problem.alpha + problem.beta * tau, at.A), b, guess)
+
+
+def _diffuse(
+    problem: Problem,
+    solver: Solver,
+    weight: float,
+    M: csr_array,
+    A: csr_array,
+    b: Array,
+    guess: Array,
+) -> Array:
+    """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
+    D = problem.diffusivity
+    if b.ndim == 1 or np.ndim(D) == 0:
+        return solver.solve(_sum(weight, M, float(D), A), b, guess)
+    u = np.empty_like(b)
+    for value in np.unique(D):
+        same = np.broadcast_to(D, b.shape[1:]) == value
+        u[:, same] = solver.solve(_sum(weight, M, value, A), b[:, same], guess[:, same])
+    return u
+
+
+def _sum(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
+    """The matrix a M + b A of two matrices with the same sparsity pattern."""
+    return csr_array((a * M.data + b * A.data, M.indices, M.indptr), shape=M.shape)
 
 
 def _combine(coefficients: Array, values: Iterable[Array]) -> Array:
@@ -327,20 +370,16 @@ def _mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
     return space.load(x, space.evaluate(u))
 
 
-def _source(
-    function: Callable[..., Array], name: str, space: SurfaceSpace, x: Array, u: Array, t: float
-) -> Array:
-    """Values of f or g at the quadrature points of Γ_h[x]."""
-    u_q = space.evaluate(u)
-    values = function(u_q, space.gradient(x, u), space.quadrature_points(x), t)
-    values = np.asarray(values, dtype=float)
-    allowed = (u_q.shape,) if name == "f" else (u_q.shape[:2],)
-    if values.shape not in allowed:
-        raise ValueError(f"{name} must return an array of shape {allowed[0]}, got {values.shape}")
+def _source(function: Callable[..., Array], name: str, at: Assembly, t: float) -> Array:
+    """Values of f or g at the quadrature points of a surface."""
+    values = np.asarray(function(at.u, at.grad_u, at.points, t), dtype=float)
+    expected = at.u.shape if name == "f" else at.u.shape[:2]
+    if values.shape != expected:
+        raise ValueError(f"{name} must return an array of shape {expected}, got {values.shape}")
     finite = np.isfinite(values)
     if not finite.all():
         element, point = np.argwhere(~finite)[0, :2].tolist()
-        where = np.array2string(space.quadrature_points(x)[element, point], precision=4)
+        where = np.array2string(at.points[element, point], precision=4)
         raise DegenerateElementError(
             f"{name} returned {values[element, point]} in element {element} at {where}", element
         )
@@ -359,22 +398,3 @@ def _turn(normals: Array, previous: Array | None) -> Array:
                 element,
             )
     return normals
-
-
-def _diffuse(
-    problem: Problem,
-    solver: Solver,
-    weight: float,
-    M: csr_array,
-    A: csr_array,
-    b: Array,
-    guess: Array,
-) -> Array:
-    """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
-    if b.ndim == 1 or np.ndim(problem.diffusivity) == 0:
-        return solver.solve(weight * M + problem.diffusivity * A, b, guess)
-    u = np.empty_like(b)
-    for D in np.unique(problem.diffusivity):
-        same = np.broadcast_to(problem.diffusivity, b.shape[1:]) == D
-        u[:, same] = solver.solve(weight * M + D * A, b[:, same], guess[:, same])
-    return u

@@ -327,7 +327,7 @@ def surface_animation(
         config={"responsive": True, "displaylogo": False},
         post_script=(
             "if (!window.matchMedia('(prefers-reduced-motion: reduce)').matches) "
-            f"Plotly.animate('{{plot_id}}', null, {json.dumps(play)});"
+            f"Plotly.animate('{{plot_id}}', null, {json.dumps(play)}).catch(() => {{}});"
         ),
     )
     caption = f"<figcaption>{html.escape(title)}</figcaption>" if title else ""

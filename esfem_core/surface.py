@@ -4,7 +4,8 @@ Topology never changes; geometry is an (N, 3) array x of node positions. Γ_h[x]
 at x", and every method that depends on the geometry takes x as its first argument.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -19,6 +20,29 @@ from esfem_core.triangulation import check_triangulation
 __all__ = ["SurfaceSpace"]
 
 Array = NDArray[np.float64]
+
+
+class Assembly(NamedTuple):
+    """What a time step needs on Γ_h[x]; made by :meth:`SurfaceSpace.assemble`.
+
+    Attributes
+    ----------
+    M, A : (N, N) CSR arrays
+        Mass and stiffness matrix.
+    density : (Q, T) float array
+        Area density at the quadrature points.
+    normals, points : (T, Q, 3) float arrays
+    u : (T, Q, ...) float array
+    grad_u : (T, Q, ..., 3) float array
+    """
+
+    M: csr_array
+    A: csr_array
+    density: Array = np.empty(0)
+    normals: Array = np.empty(0)
+    points: Array = np.empty(0)
+    u: Array = np.empty(0)
+    grad_u: Array = np.empty(0)
 
 
 class SurfaceSpace:
@@ -115,15 +139,54 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        nodes = self._positions(x)
-        n_cells = len(self.cells)
+        at = self.assemble(x)
+        return at.M, at.A
+
+    def assemble(self, x: Array, u: Array | None = None) -> "Assembly":
+        """Compute in one pass over Γ_h[x] what a time step needs there.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        u : (N, ...) float array, optional
+            Nodal values of a function to evaluate at the quadrature points.
+
+        Returns
+        -------
+        Assembly
+            Without `u`, only its matrices.
+
+        Raises
+        ------
+        ValueError
+            If an argument has the wrong shape.
+        DegenerateElementError
+            If an element has no area or a position is not finite.
+        """
+        n_cells, n_points = len(self.cells), len(self.rule.weights)
         mass = np.empty((self._tables.pairs.shape[1], n_cells))
         stiffness = np.empty_like(mass)
-        for c in chunks(n_cells):
-            mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(
-                nodes[:, self._cells_last[:, c]], c.start
-            )
-        return self._pattern.matrix(mass), self._pattern.matrix(stiffness)
+        if u is None:
+            for c, g in self._metrics(x):
+                mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
+            return Assembly(self._pattern.matrix(mass), self._pattern.matrix(stiffness))
+
+        local = self._local(u)
+        gradient = np.empty((len(local), 3, n_points, n_cells))
+        normals, density = np.empty((3, n_points, n_cells)), np.empty((n_points, n_cells))
+        for c, g in self._metrics(x):
+            mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
+            gradient[..., c] = self._tables.gradient(g, local[:, :, c])
+            normals[..., c], density[:, c] = g.normals(), g.s
+        return Assembly(
+            self._pattern.matrix(mass),
+            self._pattern.matrix(stiffness),
+            density,
+            normals.transpose(2, 1, 0),
+            self.quadrature_points(x),
+            self._points_first(self._tables.values @ local, np.shape(u)[1:]),
+            self._points_first(gradient.reshape(-1, n_points, n_cells), (*np.shape(u)[1:], 3)),
+        )
 
     def load(self, x: Array, values: Array) -> Array:
         """Load vector b_j = int_{Γ_h[x]} values phi_j, by quadrature.
@@ -158,15 +221,16 @@ class SurfaceSpace:
         expected = (len(self.cells), len(self.rule.weights))
         if values.shape[:2] != expected:
             raise ValueError(f"values must have shape {(*expected, '...')}, got {values.shape}")
-        nodes = self._positions(x)
-        trailing = values.shape[2:]
-        by_point = values.reshape(*expected, -1).transpose(2, 1, 0)  # (m, Q, T)
-        out = np.empty((self.cells.shape[1], expected[0], by_point.shape[0]))
-        test_functions = np.ascontiguousarray((self._tables.values * self._tables.weights).T)
-        for c in chunks(expected[0]):
-            density = self._metric(nodes, c).s
-            out[:, c] = (test_functions @ (density * by_point[:, :, c])).transpose(1, 2, 0)
-        return self._sum(out).reshape(-1, *trailing)
+        density = np.empty(expected[::-1])
+        for c, g in self._metrics(x):
+            density[:, c] = g.s
+        return self.load_with(density, values)
+
+    def load_with(self, density: Array, values: Array) -> Array:
+        """Load vector with the area density, (Q, T), of an :class:`Assembly`."""
+        by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)
+        entries = self._tables.tests @ (density * by_point)
+        return self._sum(entries).reshape(-1, *values.shape[2:])
 
     def evaluate(self, u: Array) -> Array:
         """Values of a finite element function at the quadrature points.
@@ -186,7 +250,7 @@ class SurfaceSpace:
             If `u` does not have one row per node.
         """
         local = self._local(u)
-        return self._points_last(self._tables.values @ local, np.shape(u)[1:])
+        return self._points_first(self._tables.values @ local, np.shape(u)[1:])
 
     def gradient(self, x: Array, u: Array) -> Array:
         """Surface gradient of a finite element function at the quadrature points of Γ_h[x].
@@ -210,11 +274,11 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        nodes, local = self._positions(x), self._local(u)
+        local = self._local(u)
         out = np.empty((len(local), 3, len(self.rule.weights), len(self.cells)))
-        for c in chunks(len(self.cells)):
-            out[..., c] = self._tables.gradient(self._metric(nodes, c), local[:, :, c])
-        return self._points_last(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
+        for c, g in self._metrics(x):
+            out[..., c] = self._tables.gradient(g, local[:, :, c])
+        return self._points_first(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
 
     def quadrature_points(self, x: Array) -> Array:
         """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3)."""
@@ -222,10 +286,9 @@ class SurfaceSpace:
 
     def normals(self, x: Array) -> Array:
         """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
-        nodes = self._positions(x)
         out = np.empty((3, len(self.rule.weights), len(self.cells)))
-        for c in chunks(len(self.cells)):
-            out[..., c] = self._metric(nodes, c).normals()
+        for c, g in self._metrics(x):
+            out[..., c] = g.normals()
         return out.transpose(2, 1, 0)
 
     def mesh_size(self, x: Array) -> float:
@@ -233,15 +296,15 @@ class SurfaceSpace:
         corners = np.asarray(x)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 
-    def _metric(self, nodes: Array, c: slice) -> Metric:
-        return self._tables.metric(nodes[:, self._cells_last[:, c]], c.start)
-
-    def _positions(self, x: Array) -> Array:
-        """Node positions with the coordinate first, (3, N)."""
+    def _metrics(self, x: Array) -> Iterator[tuple[slice, Metric]]:
+        """Metrics on Γ_h[x], chunk by chunk of elements."""
         x = np.asarray(x, dtype=float)
         if x.shape != self.nodes.shape:
             raise ValueError(f"x must have shape {self.nodes.shape}, got {x.shape}")
-        return np.ascontiguousarray(x.T)
+        coordinates = np.ascontiguousarray(x.T)
+        for c in chunks(len(self.cells)):
+            nodes = coordinates.take(self._cells_last[:, c], axis=1)
+            yield c, self._tables.metric(nodes, c.start)
 
     def _local(self, u: Array) -> Array:
         """Nodal values by element, (m, n, T)."""
@@ -251,7 +314,7 @@ class SurfaceSpace:
         return np.ascontiguousarray(u.reshape(len(u), -1).T)[:, self._cells_last]
 
     @staticmethod
-    def _points_last(values: Array, trailing: tuple[int, ...]) -> Array:
+    def _points_first(values: Array, trailing: tuple[int, ...]) -> Array:
         """Turn (m, Q, T) into (T, Q, *trailing)."""
         _, n_points, n_cells = values.shape
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from esfem_core.claims import CONFIRMED, CORRECTED, KEY, NOT_CONFIRMED, Claim, claim, measure
+from esfem_core.claims import CONFIRMED, CORRECTED, NOT_CONFIRMED, Claim, claim, measure, read_html
 
 GOOD = measure("good", 1.0, at_most=2.0)
 BAD = measure("bad", 3.0, at_most=2.0)
@@ -106,16 +106,20 @@ def test_a_claim_without_measurements_is_refused():
         claim("N-2.22-delta", True)
 
 
-def test_the_notebook_form_is_strict_json_and_comes_back_unchanged():
-    c = claim(
-        "N-2.22-delta", GOOD, measure("inf", math.inf, at_most=1), corrected=[GOOD], note="why <b>"
-    )
-    bundle, metadata = json.loads(json.dumps(c._repr_mimebundle_(), allow_nan=False))
-    assert "verdict" not in metadata[KEY]
-    assert Claim.from_dict(metadata[KEY]) == c
-    assert Claim.from_dict(claim("N-2.22-delta", NAN).to_dict()).verdict == NOT_CONFIRMED
-    assert "confirmed with a correction" in bundle["text/html"]
-    assert "confirmed with a correction" in bundle["text/plain"]
-    assert "why &lt;b&gt;" in bundle["text/html"]
-    assert 'id="check-N-2_22-delta"' in bundle["text/html"]
-    assert 'href="ledger.html#claim-N-2_22-delta"' in bundle["text/html"]
+def test_what_a_notebook_shows_can_be_read_back():
+    inf = measure('"inf" & <co>', math.inf, at_most=1)
+    c = claim("N-2.22-delta", GOOD, inf, corrected=[GOOD], note="why <b>'so'</b>")
+    d = claim("N-2.1-x", NAN)
+    first, second = read_html(c._repr_html_() + "<p>data-claim</p>" + d._repr_html_())
+    assert first == c
+    assert second.verdict == NOT_CONFIRMED
+    assert "confirmed with a correction" in repr(c)
+    assert "&lt;b&gt;" in c._repr_html_()
+    assert 'id="check-N-2_22-delta"' in c._repr_html_()
+    assert 'href="ledger.html#claim-N-2_22-delta"' in c._repr_html_()
+
+
+def test_the_data_hold_no_verdict_and_are_strict_json():
+    data = json.dumps(claim("N-2.22-delta", NAN).to_dict(), allow_nan=False)
+    assert "confirmed" not in data
+    assert Claim.from_dict(json.loads(data)).verdict == NOT_CONFIRMED
