@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.bdf import delta, gamma
-from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver
+from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver, superlu
 from esfem_core.problems import Problem
 from esfem_core.surface import Assembly, SurfaceSpace
 
@@ -21,7 +21,7 @@ __all__ = ["EvolutionError", "State", "evolve"]
 
 Array = NDArray[np.float64]
 MASSES = ("extrapolated", "reassembled", "updated")
-SOLVERS: dict[str, Callable[[], Solver]] = {"lagged": LaggedSolver, "direct": DirectSolver}
+SOLVERS = ("lagged", "direct")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def evolve(
     if mass not in MASSES:
         raise ValueError(f"mass must be one of {MASSES}, got {mass!r}")
     if solver not in SOLVERS:
-        raise ValueError(f"solver must be one of {sorted(SOLVERS)}, got {solver!r}")
+        raise ValueError(f"solver must be one of {SOLVERS}, got {solver!r}")
     if start is None:
         start = "exact" if problem.exact is not None else "euler"
     if start == "exact" and problem.exact is None:
@@ -156,7 +156,7 @@ def evolve(
         raise ValueError(f'start must be "exact", "euler" or a sequence of states, got {start!r}')
     if not isinstance(start, str) and len(start) != order:
         raise ValueError(f"start must hold p = {order} states, got {len(start)}")
-    march = partial(_march, space, problem, make_solver=SOLVERS[solver])
+    march = partial(_march, space, problem, make_solver=_solver_factory(space, solver))
     return _run(space, problem, order, step, n_steps, start, mass, march)
 
 
@@ -189,6 +189,13 @@ def _count_steps(step: float, end: float, order: int) -> int:
             f"got {end!r}"
         )
     return n_steps
+
+
+def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
+    factorise = partial(superlu, order=space.elimination_order)
+    if solver == "direct":
+        return partial(DirectSolver, factorise)
+    return partial(LaggedSolver, factorise=factorise)
 
 
 March = Callable[[int, float, Sequence[State], Iterable[tuple[int, float]], str], Iterator[State]]

@@ -2,19 +2,28 @@
 
 A matrix of one time step is a good preconditioner for those of many later steps. So
 :class:`LaggedSolver` factorises rarely, and solves by conjugate gradients in between, to a
-residual it checks. :class:`DirectSolver` factorises every time.
+residual it checks. :class:`DirectSolver` factorises every time. Both take the factorisation as a
+function from a matrix to something that solves with it.
 """
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
-__all__ = ["DirectSolver", "LaggedSolver", "Solver"]
+__all__ = ["DirectSolver", "Factor", "LaggedSolver", "Solver", "superlu"]
 
 Array = NDArray[np.float64]
+
+
+class Factor(Protocol):
+    """A factorised matrix."""
+
+    def solve(self, b: Array) -> Array:
+        """Solve with one or several columns b."""
 
 
 class Solver(Protocol):
@@ -24,12 +33,54 @@ class Solver(Protocol):
         """Solve A x = b, for one or several columns b, starting from a guess if of use."""
 
 
+class _Superlu:
+    def __init__(self, A: csr_array, order: NDArray[np.int64] | None) -> None:
+        self._order = np.arange(A.shape[0]) if order is None else order
+        try:
+            self._lu = splu(
+                A[self._order][:, self._order].T,  # CSC, and A is symmetric
+                permc_spec="COLAMD" if order is None else "NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(
+                f"the matrix of a linear system is singular: {error}"
+            ) from None
+
+    def solve(self, b: Array) -> Array:
+        x = np.empty_like(b)
+        x[self._order] = self._lu.solve(b[self._order])
+        return x
+
+
+def superlu(A: csr_array, order: NDArray[np.int64] | None = None) -> Factor:
+    """Sparse LU factorisation without pivoting, of a symmetric positive definite matrix.
+
+    Parameters
+    ----------
+    A : (N, N) CSR array
+    order : (N,) int array, optional
+        Order of elimination, see :func:`esfem_core.ordering.nested_dissection`; it makes solving
+        several times faster than the orders SuperLU finds itself.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is singular.
+    """
+    return _Superlu(A, order)
+
+
 class DirectSolver:
-    """Factorise every matrix (sparse LU with a fill-reducing order for symmetric patterns)."""
+    """Factorise every matrix."""
+
+    def __init__(self, factorise: Callable[[csr_array], Factor] = superlu) -> None:
+        self._factorise = factorise
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b; the guess is not used."""
-        return factorise(A).solve(b)
+        return self._factorise(A).solve(b)
 
 
 class LaggedSolver:
@@ -44,6 +95,8 @@ class LaggedSolver:
     patience : int
         The matrix at hand is factorised anew as soon as a solve has taken more iterations than
         this, so that a factorisation is worth its price.
+    factorise : callable
+        From a matrix to its :class:`Factor`.
 
     Attributes
     ----------
@@ -62,14 +115,20 @@ class LaggedSolver:
     (True, 1)
     """
 
-    def __init__(self, rtol: float = 1e-11, patience: int = 12) -> None:
+    def __init__(
+        self,
+        rtol: float = 1e-11,
+        patience: int = 12,
+        factorise: Callable[[csr_array], Factor] = superlu,
+    ) -> None:
         if not 0 < rtol < 1:
             raise ValueError(f"rtol must lie in (0, 1), got {rtol!r}")
         if patience < 1:
             raise ValueError(f"patience must be at least 1, got {patience!r}")
         self.rtol, self.patience = rtol, patience
         self.iterations = self.factorisations = 0
-        self._factor: SuperLU | None = None
+        self._factorise = factorise
+        self._factor: Factor | None = None
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b for symmetric positive definite A.
@@ -100,7 +159,7 @@ class LaggedSolver:
         if self._factor is not None:
             done = self._conjugate_gradients(A, columns, x, self.patience)
         if not done:
-            self._factor = factorise(A)
+            self._factor = self._factorise(A)
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
             if not self._conjugate_gradients(A, columns, x, self.patience):
@@ -145,22 +204,3 @@ class LaggedSolver:
 def _all_small(r: Array, x: Array, bound: Array, rounding: float) -> bool:
     norm_x = np.linalg.norm(x, axis=0)
     return bool((np.linalg.norm(r, axis=0) <= np.maximum(bound, rounding * norm_x)).all())
-
-
-def factorise(A: csr_array) -> SuperLU:
-    """Sparse LU factorisation of a symmetric positive definite matrix, without pivoting.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is singular.
-    """
-    try:
-        return splu(
-            A.T,  # CSC, and A is symmetric
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(f"the matrix of a linear system is singular: {error}") from None

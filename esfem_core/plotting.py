@@ -243,9 +243,10 @@ def surface_animation(
         **{"i": i, "j": j, "k": k},
         **{"cmin": low, "cmax": high, "colorscale": "Viridis", "flatshading": False},
         "lighting": {
-            **{"ambient": 0.65, "diffuse": 0.6, "specular": 0.1},
+            **{"ambient": 0.5, "diffuse": 0.7, "specular": 0.1},
             **{"facenormalsepsilon": 0, "vertexnormalsepsilon": 0},  # small triangles count, too
         },
+        "lightposition": {"x": 0, "y": 0, "z": 1e5},
         "hovertemplate": f"{label} = %{{intensity:.4g}}<extra></extra>",
         "colorbar": {
             "title": {"text": label, "side": "top"},

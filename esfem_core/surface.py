@@ -5,6 +5,7 @@ at x", and every method that depends on the geometry takes x as its first argume
 """
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.assembly import ElementTables, Metric, NodalSum, SparsePattern, chunks
 from esfem_core.lagrange import node_indices, tabulate
+from esfem_core.ordering import nested_dissection
 from esfem_core.quadrature import triangle_rule
 from esfem_core.triangulation import check_triangulation
 
@@ -290,6 +292,11 @@ class SurfaceSpace:
         for c, g in self._metrics(x):
             out[..., c] = g.normals()
         return out.transpose(2, 1, 0)
+
+    @cached_property
+    def elimination_order(self) -> NDArray[np.int64]:
+        """Order of the nodes for sparse factorisations, (N,)."""
+        return nested_dissection(self.cells, self.nodes)
 
     def mesh_size(self, x: Array) -> float:
         """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""

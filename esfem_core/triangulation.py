@@ -15,7 +15,7 @@ SHAPE_TOLERANCE = 1e-10  # smallest allowed 4 sqrt(3) area / (sum of squared edg
 
 
 def to_unit_sphere(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Closest points on the unit sphere, p(x) = x/|x| ([N] (2.2)).
+    """Closest points on the unit sphere, ``p(x) = x/|x|`` ([N] (2.2)).
 
     Parameters
     ----------

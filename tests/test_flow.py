@@ -179,7 +179,7 @@ REFUSED = [
     ({"start": "cold"}, 'start must be "exact", "euler" or a sequence of states'),
     ({"start": "exact"}, 'start="exact" needs a problem with an exact solution'),
     ({"start": []}, "start must hold p = 2 states, got 0"),
-    ({"solver": "gmres"}, r"solver must be one of \['direct', 'lagged'\]"),
+    ({"solver": "gmres"}, r"solver must be one of \('lagged', 'direct'\)"),
 ]
 
 

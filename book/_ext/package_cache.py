@@ -1,0 +1,47 @@
+"""Sphinx extension: re-run the notebooks when the solver under them has changed.
+
+jupyter-cache keys on a notebook's own code, so an edit to ``esfem_core`` would leave stale outputs
+in the book. Here the cache folder carries a hash of everything else that outputs depend on: the
+package, the stored data, the pinned environment and the Python version.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.config import Config
+
+INPUTS = ("esfem_core/**/*.py", "book/data/**/*", "requirements.lock")
+
+
+def digest(root: Path) -> str:
+    """Return a hash of the files that notebooks depend on."""
+    h = hashlib.sha256(sys.version.encode())
+    for path in sorted(p for pattern in INPUTS for p in root.glob(pattern) if p.is_file()):
+        h.update(path.relative_to(root).as_posix().encode() + b"\0")
+        h.update(hashlib.sha256(path.read_bytes()).digest())
+    return h.hexdigest()[:16]
+
+
+def configure(app: Sphinx, config: Config) -> None:
+    """Point myst-nb to the cache of this state of the package; drop the caches of older states."""
+    root = Path(app.srcdir)
+    caches = root / "_build" / "cache"
+    current = caches / digest(root)
+    for old in caches.glob("*"):
+        if old != current:
+            shutil.rmtree(old)
+    config["nb_execution_cache_path"] = str(current)
+    # The pages share one copy of plotly; a notebook run elsewhere carries its own.
+    os.environ["ESFEM_PLOTLY_JS"] = "../_static/plotly/plotly-gl3d.min.js"
+
+
+def setup(app: Sphinx) -> dict[str, object]:
+    """Register the extension."""
+    app.connect("config-inited", configure)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,96 @@
+"""The built book, and a browser without network to read it in.
+
+Run by ``make check-book``, which builds the book first.
+"""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+HTML = ROOT / "_build" / "html"
+PAGES = sorted(
+    path.relative_to(HTML).as_posix()
+    for path in HTML.rglob("*.html")
+    if "_static" not in path.parts and path != HTML / "index.html"
+)
+
+
+def pytest_generate_tests(metafunc):
+    """Run a test that asks for a page on each page."""
+    if "page" in metafunc.fixturenames:
+        metafunc.parametrize("page", PAGES)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built():
+    """Fail where there is nothing to check."""
+    if not PAGES:
+        pytest.fail("there is no built book in _build/html: run `make check-book`")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Give a headless Chromium that draws WebGL in software."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    if not found:
+        pytest.skip("no Chromium found: install it, or name its executable in CHROMIUM")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(
+            executable_path=found,
+            args=[
+                *("--no-sandbox", "--disable-dev-shm-usage"),
+                *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+            ],
+        )
+        yield chromium
+        chromium.close()
+
+
+class Reader:
+    """A page in an offline browser, with what went wrong on it."""
+
+    def __init__(self, browser, *, width=1280, height=900, scheme="light"):
+        self.context = browser.new_context(
+            viewport={"width": width, "height": height}, color_scheme=scheme, offline=True
+        )
+        self.tab = self.context.new_page()
+        self.trouble = []
+        self.tab.on("pageerror", lambda error: self.trouble.append(f"exception: {error}"))
+        self.tab.on("requestfailed", lambda r: self.trouble.append(f"not loaded: {r.url}"))
+        self.tab.on(
+            "request",
+            lambda r: (
+                r.url.startswith(("file:", "data:", "blob:", "about:"))
+                or self.trouble.append(f"remote: {r.url}")
+            ),
+        )
+        self.tab.on(
+            "console",
+            lambda m: m.type == "error" and self.trouble.append(f"console: {m.text}"),
+        )
+
+    def open(self, page):
+        """Open a page of the book and wait until its formulas are set."""
+        self.tab.goto((HTML / page).as_uri(), wait_until="load")
+        self.tab.evaluate("() => window.MathJax && MathJax.startup && MathJax.startup.promise")
+        return self.tab
+
+
+@pytest.fixture
+def reader(browser):
+    """Give a function that opens readers and closes them in the end."""
+    readers = []
+
+    def new(**options):
+        readers.append(Reader(browser, **options))
+        return readers[-1]
+
+    yield new
+    for one in readers:
+        one.context.close()

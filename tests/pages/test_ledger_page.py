@@ -1,0 +1,83 @@
+"""The ledger shows what the chapters measured, and verdicts that follow from it."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import yaml
+from bs4 import BeautifulSoup
+from conftest import HTML, ROOT
+
+from esfem_core.claims import anchor, read_html
+
+ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
+ERRATA = yaml.safe_load((ROOT / "book/errata.yml").read_text("utf8"))
+
+
+def soup(page):
+    return BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
+
+
+@pytest.fixture(scope="module")
+def ledger():
+    return soup("book/ledger.html")
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Return the claims that the chapters show, by id, read from their measurements."""
+    found = {}
+    for path in sorted((HTML / "book").glob("*.html")):
+        for claim in read_html(path.read_text("utf8")):
+            found.setdefault(claim.id, []).append((f"book/{path.stem}", claim))
+    return found
+
+
+def expected(row, measured):
+    return measured[row["id"]][0][1].verdict if row["kind"] == "check" else "proof only"
+
+
+def test_every_check_ran_once_in_its_chapter(measured):
+    ran = {name: [page for page, _ in claims] for name, claims in measured.items()}
+    assert ran == {row["id"]: [row["chapter"]] for row in ROWS if row["kind"] == "check"}
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row["id"])
+def test_row(row, ledger, measured):
+    line = ledger.find(id=f"claim-{anchor(row['id'])}")
+    assert line is not None
+    verdict = expected(row, measured)
+    assert line.select_one(".esfem-verdict").text.split(maxsplit=1)[1] == verdict
+    if row["kind"] == "proof only":
+        assert row["reason"].split()[0] in line.text
+        return
+    claim = measured[row["id"]][0][1]
+    for m in (*claim.as_printed, *claim.corrected):
+        assert f"{m.name}: {m.value:.4g} ({m.expected})" in line.text
+    (link,) = line.select(f"a[href$='#check-{anchor(row['id'])}']")
+    page = Path("book") / link["href"].split("#")[0]
+    assert page == Path(f"{row['chapter']}.html")
+    box = soup(page).find(id=f"check-{anchor(row['id'])}")
+    assert box.select_one(".esfem-verdict").text.split(maxsplit=1)[1] == verdict
+    assert box.select_one(f"a[href='ledger.html#claim-{anchor(row['id'])}']")
+
+
+@pytest.mark.parametrize("holder", ["book/ledger.html", "book/intro.html"])
+def test_summary_counts_the_verdicts(holder, measured):
+    head, *lines = soup(holder).select(".esfem-summary tr")
+    verdicts = [cell.text.strip().split(maxsplit=1)[1] for cell in head.find_all("th")[1:]]
+    counts = Counter((row["source"], expected(row, measured)) for row in ROWS)
+    shown = {}
+    for line in lines:
+        paper, *numbers = (cell.text.strip() for cell in line.find_all("td"))
+        shown |= {(paper, v): int(n) for v, n in zip(verdicts, numbers, strict=True) if n != "0"}
+    assert shown == dict(counts)
+
+
+def test_errata_are_checks_that_fail_as_printed(measured):
+    lines = soup("book/errata.html").select(".esfem-errata tbody tr")
+    assert len(lines) == len(ERRATA)
+    for entry, line in zip(ERRATA, lines, strict=True):
+        claim = measured[entry["claim"]][0][1]
+        assert claim.verdict in ("confirmed with a correction", "not confirmed")
+        assert line.select_one(".esfem-verdict").text.split(maxsplit=1)[1] == claim.verdict
