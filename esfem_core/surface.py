@@ -62,8 +62,8 @@ class SurfaceSpace:
         stay where they are.
     exactness : int, optional
         Degree up to which the quadrature is exact on the reference triangle. Default 2k: mass and
-        stiffness matrices of flat elements are then exact, and on curved elements the error of
-        quadrature is of higher order than that of the geometry.
+        stiffness matrices of flat elements are then exact, and integrals of smooth functions over
+        curved ones have an error of order 2k + 1 or better, below that of the geometry.
 
     Attributes
     ----------
