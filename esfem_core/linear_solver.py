@@ -153,7 +153,7 @@ class LaggedSolver:
         columns, x = b.reshape(len(b), -1), guess.reshape(len(b), -1).copy()
         x[:, ~columns.any(axis=0)] = 0.0
         with np.errstate(over="ignore"):
-            if not np.isfinite(np.linalg.norm(columns)):
+            if not np.isfinite(_norms(columns)).all():
                 raise FloatingPointError("the right-hand side of a linear system is not finite")
         done = False
         if self._factor is not None:
@@ -172,35 +172,45 @@ class LaggedSolver:
     def _conjugate_gradients(self, A: csr_array, b: Array, x: Array, limit: int) -> bool:
         """Improve x in place, all columns at once; tell whether the residuals are small enough."""
         assert self._factor is not None
-        norm_b = np.linalg.norm(b, axis=0)
+        bound = (self.rtol * _norms(b)) ** 2
         # The largest entry of a positive definite matrix is on its diagonal and bounds the
         # rounding errors in A x, below which no residual can be brought.
         rounding = 4 * np.finfo(float).eps * A.data.max()
+
+        def small(factor: float) -> bool:
+            squares = _dots(r, r)
+            floor = factor * rounding * _norms(x) if (squares > bound).any() else 0.0
+            return bool((squares <= np.maximum(bound, floor**2)).all())
+
         r = b - A @ x
-        p = np.zeros_like(r)
-        rz_old = np.ones(b.shape[1])
-        for _ in range(limit):
-            if _all_small(r, x, 0.7 * self.rtol * norm_b, rounding):
+        p, rz_old = np.zeros_like(r), np.ones(r.shape[1])
+        for k in range(limit + 1):
+            if small(1):
                 break
+            if k == limit:
+                return False
             z = self._factor.solve(r)
-            rz = np.einsum("ij,ij->j", r, z)
+            rz = _dots(r, z)
             p = z + rz / rz_old * p
             Ap = A @ p
-            pAp = np.einsum("ij,ij->j", p, Ap)
+            pAp = _dots(p, Ap)
             alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)
             x += alpha * p
             r -= alpha * Ap
             rz_old = np.where(rz > 0, rz, 1.0)
             self.iterations += 1
-        # The recursion drifts from the residual by rounding: what counts is the residual itself.
-        r = b - A @ x
-        row_sums = A.sum(axis=1)
+        row_sums = np.add.reduceat(A.data, A.indptr[:-1])
         shift = r.sum(axis=0) / row_sums.sum()
         x += shift
         r -= np.outer(row_sums, shift)
-        return _all_small(r, x, self.rtol * norm_b, 8 * rounding)
+        return small(4)
 
 
-def _all_small(r: Array, x: Array, bound: Array, rounding: float) -> bool:
-    norm_x = np.linalg.norm(x, axis=0)
-    return bool((np.linalg.norm(r, axis=0) <= np.maximum(bound, rounding * norm_x)).all())
+def _dots(a: Array, b: Array) -> Array:
+    """Inner products column by column."""
+    products: Array = np.einsum("ij,ij->j", a, b)
+    return products
+
+
+def _norms(a: Array) -> Array:
+    return np.sqrt(_dots(a, a))
