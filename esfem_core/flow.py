@@ -165,8 +165,8 @@ def _check_order(order: int, allow_unstable: bool) -> None:
         raise ValueError(f"order must be an integer >= 1, got {order!r}")
     if order >= 7 and not allow_unstable:
         raise ValueError(
-            f"BDF{order} is not zero-stable: its errors grow like a power of 1/step; "
-            "pass allow_unstable=True to see it fail"
+            f"BDF{order} is not zero-stable: its errors grow exponentially with the number of "
+            "steps; pass allow_unstable=True to see it fail"
         )
     if order == 6:
         warnings.warn(
@@ -270,7 +270,7 @@ def _march(
     xs = deque((s.x for s in reversed(states)), maxlen=order)  # newest first
     us = deque((s.u for s in reversed(states)), maxlen=order)
     vs: deque[Array] = deque(maxlen=order)
-    # There is no extrapolation at the first p levels: M(x^j) is taken, as in (7.2).
+    # There is no extrapolation at the first p levels: M(x^j) is taken.
     Mus = deque((_mass_times(space, s.x, s.u) for s in reversed(states)), maxlen=order)
     u_solver, v_solver = make_solver(), make_solver()
     normals: Array | None = None
