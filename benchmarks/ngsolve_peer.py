@@ -60,7 +60,9 @@ class Peer:
             (dof,) = [d for d in self.fes.GetDofNrs(edge)]
             dofs.append(dof)
         self.edges, self.edge_dofs = np.array(rows), np.array(dofs)
-        self.vertex_dofs = np.array([self.fes.GetDofNrs(ng.NodeId(ng.VERTEX, i))[0] for i in range(n_vertices)])
+        self.vertex_dofs = np.array(
+            [self.fes.GetDofNrs(ng.NodeId(ng.VERTEX, i))[0] for i in range(n_vertices)]
+        )
         bubble = ng.GridFunction(self.fes)
         bubble.vec[:] = 0
         bubble.vec[int(self.edge_dofs[0])] = 1
@@ -209,7 +211,9 @@ class _System:
         columns = b.reshape(len(b), -1).T
         solve = self._direct if self.solver == "sparsecholesky" else self._lagged
         guesses = guess.reshape(len(b), -1).T
-        return np.column_stack([solve(*pair) for pair in zip(columns, guesses, strict=True)]).reshape(b.shape)
+        return np.column_stack(
+            [solve(*pair) for pair in zip(columns, guesses, strict=True)]
+        ).reshape(b.shape)
 
     def _direct(self, b, guess):
         return multiply(self.inverse, b)

@@ -26,6 +26,7 @@ __all__ = ["Html", "convergence_plot", "flat_triangles", "style", "surface_anima
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MAX_TICKS = 6
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
@@ -143,9 +144,18 @@ def convergence_plot(
     ends = np.array([h.min(), h.max()])
     base = 0.5 * min(float(np.min(e / h**order)) for e in curves.values())
     ax.loglog(ends, base * ends**order, "--", color="0.4", label=f"slope {order:g}")
+    shown = h[:: -(-len(h) // MAX_TICKS)]
+    ax.set_xticks(shown, [_size_label(size) for size in shown])
+    ax.xaxis.minorticks_off()
     ax.set_xlabel(xlabel)
     ax.set_ylabel("error")
     ax.legend()
+
+
+def _size_label(size: float) -> str:
+    """Write 1/n where that is exact, else two digits."""
+    n = round(1 / size)
+    return f"1/{n}" if n > 1 and abs(n * size - 1) < 1e-9 else f"{size:.2g}"
 
 
 def flat_triangles(cells: NDArray[np.int64], degree: int) -> NDArray[np.int64]:

@@ -102,7 +102,7 @@ class ConvergenceTable:
             "<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows
         )
         return (
-            '<div class="esfem-table"><table>'
+            '<div class="esfem-table esfem-convergence"><table>'
             f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
         )
 
