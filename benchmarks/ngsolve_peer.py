@@ -47,7 +47,7 @@ class Peer:
         self.A = ng.BilinearForm(ng.grad(u).Trace() * ng.grad(w).Trace() * ds, symmetric=False)
 
     def _number_edges(self, n_vertices):
-        """Rows (our edge node, end, end) in the order of NGSolve's edges, and the bubbles' height."""
+        """Edges as rows (our edge node, end, end) in NGSolve's order, and the bubbles' height."""
         cells = self.space.cells
         node_of = {}
         for column, (a, b) in zip((3, 4, 5), ((0, 1), (1, 2), (2, 0)), strict=True):
@@ -57,7 +57,7 @@ class Peer:
         for edge in self.mesh.edges:
             i, j = sorted(v.nr for v in edge.vertices)
             rows.append((node_of[i, j], i, j))
-            (dof,) = [d for d in self.fes.GetDofNrs(edge)]
+            (dof,) = self.fes.GetDofNrs(edge)
             dofs.append(dof)
         self.edges, self.edge_dofs = np.array(rows), np.array(dofs)
         self.vertex_dofs = np.array(
