@@ -1,5 +1,6 @@
 """The ledger shows what the chapters measured, and verdicts that follow from it."""
 
+import os
 from collections import Counter
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from conftest import HTML, ROOT
 from esfem_core.claims import anchor, read_html
 
 ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
+KNOWN = Path(__file__).with_name("verdicts.yml")
 ERRATA = yaml.safe_load((ROOT / "book/errata.yml").read_text("utf8"))
 
 
@@ -81,3 +83,11 @@ def test_errata_are_checks_that_fail_as_printed(measured):
         claim = measured[entry["claim"]][0][1]
         assert claim.verdict in ("confirmed with a correction", "not confirmed")
         assert line.select_one(".esfem-verdict").text.split(maxsplit=1)[1] == claim.verdict
+
+
+def test_no_verdict_changed_unnoticed(measured):
+    """A verdict that changes is a finding or a fault: look, then run with ACCEPT_VERDICTS=1."""
+    now = {row["id"]: expected(row, measured) for row in ROWS}
+    if os.environ.get("ACCEPT_VERDICTS"):
+        KNOWN.write_text(yaml.safe_dump(now, sort_keys=False), "utf8")
+    assert now == yaml.safe_load(KNOWN.read_text("utf8"))
