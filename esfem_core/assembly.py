@@ -45,19 +45,25 @@ class DegenerateElementError(ArithmeticError):
 
 
 class Metric(NamedTuple):
-    """Tangents and metric at the quadrature points of some elements."""
+    """Nodes of some elements, and tangents and metric at their quadrature points."""
 
+    nodes: Array  # (3, n, C)
     t1: Array  # (3, Q, C)
     t2: Array  # (3, Q, C)
     E: Array  # (Q, C)
     F: Array
     G: Array
     s: Array  # area density
+    inverse: Array  # 1/s
 
     def normals(self) -> Array:
         """Unit normals, (3, Q, C)."""
-        (a0, a1, a2), (b0, b1, b2) = self.t1, self.t2
-        return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0]) / self.s
+        n = np.empty_like(self.t1)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(self.t1[j], self.t2[k], out=n[i])
+            n[i] -= self.t1[k] * self.t2[j]
+        n *= self.inverse
+        return n
 
 
 class ElementTables:
@@ -101,24 +107,23 @@ class ElementTables:
         tangents = self.gradients @ nodes
         t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
         # A degenerate or overflowing element is recognised and reported below.
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
             s2 = E * G - F * F
             smallest = (ROUNDING * np.abs(nodes[:, 0]).max()) ** 2
-            sound = s2 > (FLATNESS / 2 * (E + G) + smallest) ** 2
-        for good, what in ((np.isfinite(s2), "is not finite"), (sound, "is degenerate")):
-            if not good.all():
-                bad = int(np.argmin(good.all(axis=0)))
-                center = np.array2string(nodes[:, :3, bad].mean(axis=1), precision=4)
-                raise DegenerateElementError(
-                    f"element {first + bad} near {center} {what}", first + bad
-                )
-        return Metric(t1, t2, E, F, G, np.sqrt(s2))
+            # One comparison for all; where it fails, element by element.
+            if not s2.min() > (FLATNESS / 2 * (E.max() + G.max()) + smallest) ** 2:
+                sound = s2 > (FLATNESS / 2 * (E + G) + smallest) ** 2
+                _report_first(~np.isfinite(s2), "is not finite", nodes, first)
+                _report_first(~sound, "is degenerate", nodes, first)
+            s = np.sqrt(s2)
+            return Metric(nodes, t1, t2, E, F, G, s, 1 / s)
 
     def mass_stiffness(self, g: Metric) -> tuple[Array, Array]:
         """Element mass and stiffness entries of the index pairs a <= b, each (P, C)."""
-        factors = np.concatenate([g.G, g.F, g.E]).reshape(3, *g.s.shape)
-        factors /= g.s
+        factors = np.empty((3, *g.s.shape))
+        for factor, entry in zip(factors, (g.G, g.F, g.E), strict=True):
+            np.multiply(entry, g.inverse, out=factor)
         return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
 
     def gradient(self, g: Metric, u: Array) -> Array:
@@ -126,9 +131,11 @@ class ElementTables:
         n_points = len(self.values)
         du = self.gradients @ u
         u1, u2 = du[:, :n_points], du[:, n_points:]
-        s2 = g.s * g.s
-        c1, c2 = (g.G * u1 - g.F * u2) / s2, (g.E * u2 - g.F * u1) / s2
-        return c1[:, None] * g.t1 + c2[:, None] * g.t2
+        square = g.inverse * g.inverse
+        c1, c2 = (g.G * u1 - g.F * u2) * square, (g.E * u2 - g.F * u1) * square
+        gradient: Array = c1[:, None] * g.t1
+        gradient += c2[:, None] * g.t2
+        return gradient
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -136,6 +143,16 @@ def _dot(a: Array, b: Array) -> Array:
     out += a[1] * b[1]
     out += a[2] * b[2]
     return out
+
+
+def _report_first(bad: NDArray[np.bool_], what: str, nodes: Array, first: int) -> None:
+    """Raise for the first element with a bad quadrature point."""
+    if bad.any():
+        element = int(np.argmax(bad.any(axis=0)))
+        center = np.array2string(nodes[:, :3, element].mean(axis=1), precision=4)
+        raise DegenerateElementError(
+            f"element {first + element} near {center} {what}", first + element
+        )
 
 
 def chunks(n_cells: int) -> Iterator[slice]:
@@ -165,7 +182,11 @@ class SparsePattern:
         n_half = len(starts)
         # Entry h of the upper triangle is the sum of the element entries order[starts[h]:...].
         self._gather = csr_array(
-            (np.ones(len(order)), order.astype(np.int32), np.r_[starts, len(order)]),
+            (
+                np.ones(len(order)),
+                order.astype(np.int32),
+                np.r_[starts, len(order)].astype(np.int32),
+            ),
             shape=(n_half, len(order)),
         )
         off = rows != columns
@@ -178,14 +199,14 @@ class SparsePattern:
             shape=(n_nodes, n_nodes),
         )
         full.sort_indices()
-        self._mirror = full.data
+        self._mirror = full.data.astype(np.int32)
         self.indices = full.indices.astype(np.int32)
         self.indptr = full.indptr.astype(np.int32)
         self.shape = full.shape
 
     def matrix(self, entries: Array) -> csr_array:
         """Sum element entries (P, T) into a new CSR matrix."""
-        return self.with_data((self._gather @ entries.ravel())[self._mirror])
+        return self.with_data((self._gather @ entries.ravel()).take(self._mirror))
 
     def with_data(self, data: Array) -> csr_array:
         """CSR matrix with this pattern and the given entries."""
@@ -202,7 +223,11 @@ class NodalSum:
         order = np.argsort(nodes, kind="stable")
         counts = np.bincount(nodes, minlength=n_nodes)
         self._gather = csr_array(
-            (np.ones(len(nodes)), order.astype(np.int32), np.r_[0, np.cumsum(counts)]),
+            (
+                np.ones(len(nodes)),
+                order.astype(np.int32),
+                np.r_[0, np.cumsum(counts)].astype(np.int32),
+            ),
             shape=(n_nodes, len(nodes)),
         )
 

@@ -12,18 +12,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
-__all__ = ["DirectSolver", "Factor", "LaggedSolver", "Solver", "superlu"]
+__all__ = ["DirectSolver", "Factor", "LaggedSolver", "Solver", "cholmod", "superlu"]
 
 Array = NDArray[np.float64]
+
+
+Solve = Callable[[Array], Array]
 
 
 class Factor(Protocol):
     """A factorised matrix."""
 
     def solve(self, b: Array) -> Array:
-        """Solve with one or several columns b."""
+        """Solve with the columns of b, (N, m)."""
 
 
 class Solver(Protocol):
@@ -33,25 +36,18 @@ class Solver(Protocol):
         """Solve A x = b, for one or several columns b, starting from a guess if of use."""
 
 
-class _Superlu:
-    def __init__(self, A: csr_array, order: NDArray[np.int64] | None) -> None:
+class _Reordered:
+    """A factorised matrix that wants its unknowns in another order."""
+
+    def __init__(
+        self, A: csr_array, order: NDArray[np.int64] | None, solve: Callable[[csr_array], Solve]
+    ) -> None:
         self._order = np.arange(A.shape[0]) if order is None else order
-        try:
-            self._lu = splu(
-                A[self._order][:, self._order].T,  # CSC, and A is symmetric
-                permc_spec="COLAMD" if order is None else "NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise np.linalg.LinAlgError(
-                f"the matrix of a linear system is singular: {error}"
-            ) from None
+        self._position = np.argsort(self._order)
+        self._solve = solve(A[self._order][:, self._order])
 
     def solve(self, b: Array) -> Array:
-        x = np.empty_like(b)
-        x[self._order] = self._lu.solve(b[self._order])
-        return x
+        return self._solve(b.take(self._order, axis=0)).take(self._position, axis=0)
 
 
 def superlu(A: csr_array, order: NDArray[np.int64] | None = None) -> Factor:
@@ -69,7 +65,54 @@ def superlu(A: csr_array, order: NDArray[np.int64] | None = None) -> Factor:
     numpy.linalg.LinAlgError
         If the matrix is singular.
     """
-    return _Superlu(A, order)
+
+    def factorise(A: csr_array) -> Solve:
+        try:
+            lu: SuperLU = splu(
+                A.T,  # CSC, and A is symmetric
+                permc_spec="COLAMD" if order is None else "NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(
+                f"the matrix of a linear system is singular: {error}"
+            ) from None
+        return lambda b: np.asarray(lu.solve(b))
+
+    return _Reordered(A, order, factorise)
+
+
+def cholmod(A: csr_array, order: NDArray[np.int64] | None = None) -> Factor:
+    """Sparse Cholesky factorisation by CHOLMOD, through the package cholespy (extra ``fast``).
+
+    Parameters
+    ----------
+    A : (N, N) CSR array
+        Symmetric positive definite.
+    order : (N,) int array, optional
+        Numbering to hand the matrix over in; CHOLMOD still finds its own order of elimination.
+
+    Raises
+    ------
+    ImportError
+        If cholespy is not installed.
+    """
+    from cholespy import CholeskySolverD, MatrixType
+
+    def factorise(A: csr_array) -> Solve:
+        entries = A.tocoo()
+        row, column = entries.row.astype(np.int32), entries.col.astype(np.int32)
+        solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+
+        def solve(b: Array) -> Array:
+            x = np.empty_like(b)
+            solver.solve(b, x)
+            return x
+
+        return solve
+
+    return _Reordered(A, order, factorise)
 
 
 class DirectSolver:
@@ -80,7 +123,7 @@ class DirectSolver:
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b; the guess is not used."""
-        return self._factorise(A).solve(b)
+        return self._factorise(A).solve(b.reshape(len(b), -1)).reshape(b.shape)
 
 
 class LaggedSolver:
@@ -151,54 +194,63 @@ class LaggedSolver:
             If the norm of a right-hand side is not finite.
         """
         columns, x = b.reshape(len(b), -1), guess.reshape(len(b), -1).copy()
-        x[:, ~columns.any(axis=0)] = 0.0
         with np.errstate(over="ignore"):
-            if not np.isfinite(_norms(columns)).all():
-                raise FloatingPointError("the right-hand side of a linear system is not finite")
+            squares = _dots(columns, columns)
+        if not np.isfinite(squares).all():
+            raise FloatingPointError("the right-hand side of a linear system is not finite")
+        x[:, squares == 0] = 0.0
         done = False
         if self._factor is not None:
-            done = self._conjugate_gradients(A, columns, x, self.patience)
+            done = self._conjugate_gradients(A, columns, x, squares)
         if not done:
             self._factor = self._factorise(A)
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
-            if not self._conjugate_gradients(A, columns, x, self.patience):
+            if not self._conjugate_gradients(A, columns, x, squares):
                 raise np.linalg.LinAlgError(
                     f"no solution to a relative residual of {self.rtol:g} in {self.patience} "
                     "iterations: the matrix is singular, indefinite or not finite"
                 )
         return x.reshape(b.shape)
 
-    def _conjugate_gradients(self, A: csr_array, b: Array, x: Array, limit: int) -> bool:
-        """Improve x in place, all columns at once; tell whether the residuals are small enough."""
+    def _conjugate_gradients(self, A: csr_array, b: Array, x: Array, squares: Array) -> bool:
+        """Improve x in place, all columns at once; tell whether the residuals are small enough.
+
+        `squares` are those of the norms of the right-hand sides b.
+        """
         assert self._factor is not None
-        bound = (self.rtol * _norms(b)) ** 2
+        bound = self.rtol**2 * squares
         # The largest entry of a positive definite matrix is on its diagonal and bounds the
         # rounding errors in A x, below which no residual can be brought.
         rounding = 4 * np.finfo(float).eps * A.data.max()
 
         def small(factor: float) -> bool:
-            squares = _dots(r, r)
-            floor = factor * rounding * _norms(x) if (squares > bound).any() else 0.0
-            return bool((squares <= np.maximum(bound, floor**2)).all())
+            rr = _dots(r, r)
+            if (rr <= bound).all():
+                return True
+            floor = (factor * rounding) ** 2 * _dots(x, x)
+            return bool((rr <= np.maximum(bound, floor)).all())
 
         r = b - A @ x
         p, rz_old = np.zeros_like(r), np.ones(r.shape[1])
-        for k in range(limit + 1):
+        for k in range(self.patience + 1):
             if small(1):
                 break
-            if k == limit:
+            if k == self.patience:
                 return False
             z = self._factor.solve(r)
             rz = _dots(r, z)
-            p = z + rz / rz_old * p
+            p *= rz / rz_old
+            p += z
             Ap = A @ p
             pAp = _dots(p, Ap)
             alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)
             x += alpha * p
-            r -= alpha * Ap
+            Ap *= alpha
+            r -= Ap
             rz_old = np.where(rz > 0, rz, 1.0)
             self.iterations += 1
+        # A constant added to x makes the residual's sum zero, at little cost to the residual.
         row_sums = np.add.reduceat(A.data, A.indptr[:-1])
         shift = r.sum(axis=0) / row_sums.sum()
         x += shift
@@ -208,9 +260,4 @@ class LaggedSolver:
 
 def _dots(a: Array, b: Array) -> Array:
     """Inner products column by column."""
-    products: Array = np.einsum("ij,ij->j", a, b)
-    return products
-
-
-def _norms(a: Array) -> Array:
-    return np.sqrt(_dots(a, a))
+    return np.array([u @ v for u, v in zip(a.T, b.T, strict=True)])

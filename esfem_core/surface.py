@@ -166,8 +166,7 @@ class SurfaceSpace:
             If an element has no area or a position is not finite.
         """
         n_cells, n_points = len(self.cells), len(self.rule.weights)
-        mass = np.empty((self._tables.pairs.shape[1], n_cells))
-        stiffness = np.empty_like(mass)
+        mass, stiffness = self._entries
         if u is None:
             for c, g in self._metrics(x):
                 mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
@@ -175,17 +174,19 @@ class SurfaceSpace:
 
         local = self._local(u)
         gradient = np.empty((len(local), 3, n_points, n_cells))
-        normals, density = np.empty((3, n_points, n_cells)), np.empty((n_points, n_cells))
+        normals, points = np.empty((2, 3, n_points, n_cells))
+        density = np.empty((n_points, n_cells))
         for c, g in self._metrics(x):
             mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
             gradient[..., c] = self._tables.gradient(g, local[:, :, c])
             normals[..., c], density[:, c] = g.normals(), g.s
+            points[..., c] = self._tables.values @ g.nodes
         return Assembly(
             self._pattern.matrix(mass),
             self._pattern.matrix(stiffness),
             density,
             normals.transpose(2, 1, 0),
-            self.quadrature_points(x),
+            points.transpose(2, 1, 0),
             self._points_first(self._tables.values @ local, np.shape(u)[1:]),
             self._points_first(gradient.reshape(-1, n_points, n_cells), (*np.shape(u)[1:], 3)),
         )
@@ -292,6 +293,11 @@ class SurfaceSpace:
         for c, g in self._metrics(x):
             out[..., c] = g.normals()
         return out.transpose(2, 1, 0)
+
+    @cached_property
+    def _entries(self) -> Array:
+        """Room for the element matrices; fresh memory for them would cost more than to fill it."""
+        return np.empty((2, self._tables.pairs.shape[1], len(self.cells)))
 
     @cached_property
     def elimination_order(self) -> NDArray[np.int64]:

@@ -73,11 +73,13 @@ def test_mass_is_conserved_without_sources(p, solver):
 
 @pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
 def test_solvers_agree(p):
-    direct, lagged = (
-        final(ec.evolve(SPACE, wobble(), p, 0.02, 0.4, solver=s)) for s in ("direct", "lagged")
+    direct, lagged, cholmod = (
+        final(ec.evolve(SPACE, wobble(), p, 0.02, 0.4, solver=s))
+        for s in ("direct", "lagged", "cholmod")
     )
     for name in "xvu":
         np.testing.assert_allclose(getattr(lagged, name), getattr(direct, name), atol=1e-8)
+        np.testing.assert_allclose(getattr(cholmod, name), getattr(direct, name), atol=1e-8)
 
 
 def test_several_components_are_solved_like_single_ones():
@@ -179,7 +181,7 @@ REFUSED = [
     ({"start": "cold"}, 'start must be "exact", "euler" or a sequence of states'),
     ({"start": "exact"}, 'start="exact" needs a problem with an exact solution'),
     ({"start": []}, "start must hold p = 2 states, got 0"),
-    ({"solver": "gmres"}, r"solver must be one of \('lagged', 'direct'\)"),
+    ({"solver": "gmres"}, r"solver must be one of \('lagged', 'cholmod', 'direct'\)"),
 ]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.linear_solver import DirectSolver, LaggedSolver
+from esfem_core.linear_solver import DirectSolver, LaggedSolver, cholmod, superlu
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
 
@@ -18,11 +18,12 @@ def relative_residual(A, x, b):
     return (np.linalg.norm(b - A @ x, axis=0) / np.linalg.norm(b, axis=0)).max()
 
 
+@pytest.mark.parametrize("factorise", [superlu, cholmod])
 @pytest.mark.parametrize("columns", [(), (3,)])
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
-def test_residual_along_a_slow_change(columns, rtol):
+def test_residual_along_a_slow_change(columns, rtol, factorise):
     rng = np.random.default_rng(0)
-    solver, x = LaggedSolver(rtol), np.zeros((len(SPACE.nodes), *columns))
+    solver, x = LaggedSolver(rtol, factorise=factorise), np.zeros((len(SPACE.nodes), *columns))
     for n in range(30):
         A, b = system(1 + 0.02 * n), rng.standard_normal(x.shape)
         x = solver.solve(A, b, x)

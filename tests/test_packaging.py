@@ -41,7 +41,9 @@ def test_conda_environment_installs_what_the_lock_pins(lock):
 def test_every_requirement_is_pinned_to_a_version_that_satisfies_it(lock):
     extras = PROJECT["optional-dependencies"]
     assert set(extras) >= {"book", "test"}
-    for text in [*PROJECT["dependencies"], *(r for group in extras.values() for r in group)]:
+    # Benchmarks are run by hand and need a large compiled library: they are not pinned.
+    pinned = [group for name, group in extras.items() if name != "bench"]
+    for text in [*PROJECT["dependencies"], *(r for group in pinned for r in group)]:
         requirement = Requirement(text)
         name = canonicalize_name(requirement.name)
         assert name in lock, f"{text} is not in requirements.lock"
