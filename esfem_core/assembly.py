@@ -23,7 +23,7 @@ from esfem_core.quadrature import TriangleRule
 
 __all__ = ["DegenerateElementError", "ElementTables", "SparsePattern"]
 
-CHUNK = 2048  # elements treated at a time, so that their arrays stay in the cache
+CHUNK = 12288  # points at which the metric is computed at a time: their arrays stay in the cache
 FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
 ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
@@ -45,7 +45,10 @@ class DegenerateElementError(ArithmeticError):
 
 
 class Metric(NamedTuple):
-    """Nodes of some elements, and tangents and metric at their quadrature points."""
+    """Nodes of some elements, and tangents and metric at their quadrature points.
+
+    Flat elements have Q = 1 here, whatever the number of quadrature points.
+    """
 
     nodes: Array  # (3, n, C)
     t1: Array  # (3, Q, C)
@@ -81,14 +84,18 @@ class ElementTables:
         w = rule.weights
         a, b = np.triu_indices(phi.shape[1])
         self.values = phi
-        self.gradients = np.vstack([d1, d2])  # (2Q, n)
         self.tests = np.ascontiguousarray((phi * w[:, None]).T)  # (n, Q)
         self.pairs = np.stack([a, b])  # local index pairs a <= b of the symmetric half
-        self.mass = np.ascontiguousarray((phi[:, a] * phi[:, b]).T * w)  # (P, Q)
+        mass = (phi[:, a] * phi[:, b]).T * w  # (P, Q)
         cross = -(d1[:, a] * d2[:, b] + d2[:, a] * d1[:, b])
-        self.stiffness = np.hstack(  # (P, 3Q), for the factors G/s, F/s, E/s
-            [c.T * w for c in (d1[:, a] * d1[:, b], cross, d2[:, a] * d2[:, b])]
-        )
+        stiffness = [c.T * w for c in (d1[:, a] * d1[:, b], cross, d2[:, a] * d2[:, b])]
+        if phi.shape[1] == 3:
+            # A flat element has one metric: one point stands for all.
+            d1, d2, mass = d1[:1], d2[:1], mass.sum(axis=1, keepdims=True)
+            stiffness = [c.sum(axis=1, keepdims=True) for c in stiffness]
+        self.gradients = np.vstack([d1, d2])  # (2Q, n)
+        self.mass = np.ascontiguousarray(mass)
+        self.stiffness = np.hstack(stiffness)  # (P, 3Q), for the factors G/s, F/s, E/s
 
     def metric(self, nodes: Array, first: int = 0) -> Metric:
         """Metric of elements with the given node positions.
@@ -103,9 +110,7 @@ class ElementTables:
         ------
         DegenerateElementError
         """
-        n_points = len(self.values)
-        tangents = self.gradients @ nodes
-        t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
+        t1, t2 = np.split(self.gradients @ nodes, 2, axis=1)
         # A degenerate or overflowing element is recognised and reported below.
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
@@ -128,9 +133,7 @@ class ElementTables:
 
     def gradient(self, g: Metric, u: Array) -> Array:
         """Surface gradient (m, 3, Q, C) of the nodal values u (m, n, C)."""
-        n_points = len(self.values)
-        du = self.gradients @ u
-        u1, u2 = du[:, :n_points], du[:, n_points:]
+        u1, u2 = np.split(self.gradients @ u, 2, axis=1)
         square = g.inverse * g.inverse
         c1, c2 = (g.G * u1 - g.F * u2) * square, (g.E * u2 - g.F * u1) * square
         gradient: Array = c1[:, None] * g.t1
@@ -155,9 +158,10 @@ def _report_first(bad: NDArray[np.bool_], what: str, nodes: Array, first: int) -
         )
 
 
-def chunks(n_cells: int) -> Iterator[slice]:
-    """Consecutive slices of at most CHUNK elements."""
-    return (slice(i, min(i + CHUNK, n_cells)) for i in range(0, n_cells, CHUNK))
+def chunks(n_cells: int, n_points: int) -> Iterator[slice]:
+    """Consecutive slices of elements with n_points points each."""
+    length = max(CHUNK // n_points, 1)
+    return (slice(i, min(i + length, n_cells)) for i in range(0, n_cells, length))
 
 
 class SparsePattern:

@@ -20,6 +20,7 @@ from esfem_core.surface import Assembly, SurfaceSpace
 __all__ = ["EvolutionError", "State", "evolve"]
 
 Array = NDArray[np.float64]
+GUESS = 4  # values that a first guess is extrapolated from, if there are so many
 MASSES = ("extrapolated", "reassembled", "updated")
 SOLVERS = ("lagged", "cholmod", "direct")
 
@@ -267,10 +268,11 @@ def _march(
     make_solver: Callable[[], Solver],
 ) -> Iterator[State]:
     """Step from p states through the given (number, time) pairs."""
-    d, extrapolate = delta(order), partial(_combine, gamma(order))
+    d = delta(order)
     xs = deque((s.x for s in reversed(states)), maxlen=order)  # newest first
     us = deque((s.u for s in reversed(states)), maxlen=order)
-    vs: deque[Array] = deque(maxlen=order)
+    # First guesses for the linear solver are extrapolated from more values than the scheme has.
+    last_us, last_vs = (deque(values, maxlen=max(order, GUESS)) for values in (us, ()))
     # There is no extrapolation at the first p levels: M(x^j) is taken.
     Mus = deque((_mass_times(space, s.x, s.u) for s in reversed(states)), maxlen=order)
     u_solver, v_solver = make_solver(), make_solver()
@@ -278,29 +280,31 @@ def _march(
 
     for n, t in times:
         with _naming_the_step(n, t):
-            u_tilde, x_past = extrapolate(us), _combine(d[1:], xs)
+            u_tilde, x_past = _extrapolate(us), _combine(d[1:], xs)
             if problem.motion is not None:
                 x_tilde = x = np.array(problem.motion(space.nodes, t), dtype=float)
                 at = space.assemble(x_tilde, None if problem.f is None else u_tilde)
                 v = (d[0] * x + x_past) / step
             else:
-                x_tilde = extrapolate(xs)
+                x_tilde = _extrapolate(xs)
                 at = space.assemble(x_tilde, u_tilde)
                 normals = _turn(at.normals, normals)
-                v_guess = _combine(gamma(len(vs)), vs) if vs else np.zeros_like(x_tilde)
-                v = _velocity(space, problem, v_solver, at, t, step / d[0], x_past / d[0], v_guess)
+                guess = _extrapolate(last_vs) if last_vs else np.zeros_like(x_tilde)
+                v = _velocity(space, problem, v_solver, at, t, step / d[0], x_past / d[0], guess)
                 x = (step * v - x_past) / d[0]
             M = space.mass_stiffness(x)[0] if mass == "updated" else at.M
             b = -_combine(d[1:], Mus) / step
             if problem.f is not None:
                 b += space.load_with(at.density, _source(problem.f, "f", at, t))
-            u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, u_tilde)
+            guess = _extrapolate(last_us)
+            u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, guess)
             if not (np.isfinite(u).all() and np.isfinite(x).all()):
                 raise FloatingPointError("the solution is not finite")
             Mus.appendleft(_mass_times(space, x, u) if mass == "reassembled" else M @ u)
         xs.appendleft(x)
         us.appendleft(u)
-        vs.appendleft(v)
+        last_us.appendleft(u)
+        last_vs.appendleft(v)
         yield State(t, x, v, u)
 
 
@@ -363,6 +367,11 @@ def _sum(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     data = a * M.data
     data += b * A.data
     return csr_array((data, M.indices, M.indptr), shape=M.shape)
+
+
+def _extrapolate(values: Sequence[Array]) -> Array:
+    """Extrapolate equidistant values, newest first, to the next."""
+    return _combine(gamma(len(values)), values)
 
 
 def _combine(coefficients: Array, values: Iterable[Array]) -> Array:

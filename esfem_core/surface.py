@@ -315,7 +315,7 @@ class SurfaceSpace:
         if x.shape != self.nodes.shape:
             raise ValueError(f"x must have shape {self.nodes.shape}, got {x.shape}")
         coordinates = np.ascontiguousarray(x.T)
-        for c in chunks(len(self.cells)):
+        for c in chunks(len(self.cells), len(self._tables.gradients) // 2):
             nodes = coordinates.take(self._cells_last[:, c], axis=1)
             yield c, self._tables.metric(nodes, c.start)
 

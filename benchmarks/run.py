@@ -1,0 +1,248 @@
+"""Measure assembly, time steps, scaling and memory, and write book/data/performance.json.
+
+Run from the root of the repository, on a machine that does nothing else (about 25 minutes):
+
+    pip install -e .[bench]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/run.py
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+
+import ngsolve
+import ngsolve_peer
+import numpy as np
+import textbook
+from timing import in_turn, machine, summary
+
+import esfem_core as ec
+from esfem_core.linear_solver import LaggedSolver
+from esfem_core.study import final
+from esfem_core.surface import SurfaceSpace
+
+RESULTS = Path("book/data/performance.json")
+
+
+def sphere(refinements, degree=2):
+    """Aligned sphere with 4^(refinements + 2) + 2 nodes (degree 2)."""
+    return ec.SurfaceSpace(ec.sphere("octahedron", refinements), degree, ec.to_unit_sphere)
+
+
+def radius(t):
+    """Radius of the expanding sphere and its rate."""
+    return 1 + 0.5 * np.sin(np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)
+
+
+def assembly(repeats=15):
+    """Mass and stiffness matrix on a surface that moves between the calls."""
+    rows = []
+    for refinements in (5, 6, 7):
+        space = sphere(refinements)
+        peer = ngsolve_peer.Peer(space)
+        x = space.nodes * [1, 1.2, 0.8] + 0.1 * np.sin(2 * space.nodes[:, [1, 2, 0]])
+        peer.move(x)
+        row = in_turn(peer.assemble, lambda space=space, x=x: space.mass_stiffness(x), repeats)
+        u, w = np.random.default_rng(0).standard_normal((2, len(x)))
+        differences = []
+        for matrix, form in zip(space.mass_stiffness(x), (peer.M, peer.A), strict=True):
+            theirs = peer.coefficients(w) @ (peer.scipy(form) @ peer.coefficients(u))
+            size = np.linalg.norm(w) * np.linalg.norm(matrix @ u)
+            differences.append(abs(w @ (matrix @ u) - theirs) / size)
+        rows.append(row | {"nodes": len(x), "difference": max(differences)})
+        print(rows[-1], flush=True)
+    return rows
+
+
+def step(solver, peer_solver, blocks=6, length=3):
+    """A whole step of the coupled problem, in blocks of steps in turn."""
+    rows = []
+    for refinements in (4, 5, 6):
+        space = sphere(refinements)
+        problem = ec.problems.expanding_sphere()
+        for tau in (1e-2, 1e-3):
+            for order in (3, 5):
+                n = order + 6 + blocks * (length + 1)
+                theirs = ngsolve_peer.evolve(space, order, tau, n, radius, peer_solver)
+                ours = ec.evolve(space, problem, order, tau, n * tau, solver=solver)
+                final(islice(ours, order))  # the starting states
+                run(theirs, 6), run(ours, 6)
+                times = []
+                for _ in range(blocks):
+                    run(theirs, 1)  # fill the caches again
+                    peer = run(theirs, length)
+                    run(ours, 1)
+                    times.append([peer, run(ours, length)])
+                (_, x, u), state = next(theirs), next(ours)
+                row = summary(*(np.array(times) / length).T)
+                row |= {"nodes": len(x), "step": tau, "order": order}
+                row["difference"] = float(max(abs(state.x - x).max(), abs(state.u - u).max()))
+                rows.append(row)
+                print(solver, peer_solver, row, flush=True)
+    return rows
+
+
+def run(states, n):
+    """Seconds for n steps."""
+    start = time.perf_counter()
+    for _ in range(n):
+        next(states)
+    return time.perf_counter() - start
+
+
+def implicit_euler(steps=200, blocks=10):
+    """[LMV]'s 10^4 implicit Euler steps on 4,098 linear nodes, by the step."""
+    space = sphere(5, degree=1)
+
+    def motion(p, t):
+        return p * [np.sqrt(1 + 0.25 * np.sin(t)), 1, 1]
+
+    problem = ec.Problem(u0=lambda x: x[:, 0] * x[:, 1], motion=motion)
+    ours = ec.evolve(space, problem, 1, 1e-4, 1.0)
+    u0 = problem.initial_values(space.nodes)
+    theirs = textbook.evolve(space.cells, lambda t: motion(space.nodes, t), u0, 1e-4)
+    next(ours)
+    times = []
+    for _ in range(blocks):
+        times.append([run(theirs, steps // blocks), run(ours, steps // blocks)])
+    row = summary(*(np.array(times) / (steps // blocks)).T)
+    return row | {"difference": float(abs(next(ours).u - next(theirs)).max())}
+
+
+def scaling():
+    """Seconds per step and peak memory, each size in a process of its own."""
+    rows = []
+    for refinements in (4, 5, 6, 7, 8):
+        code = f"import run; run.one_size({refinements})"
+        out = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd="benchmarks",
+        )
+        rows.append(json.loads(out.stdout))
+        print(rows[-1], flush=True)
+    return rows
+
+
+def one_size(refinements, steps=12):
+    """Print seconds per step and peak memory as JSON."""
+    space = sphere(refinements)
+    states = ec.evolve(space, ec.problems.expanding_sphere(), 3, 1e-3, (steps + 8) * 1e-3)
+    for _ in range(8):
+        next(states)
+    times = [run(states, 1) for _ in range(steps)]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    row = {"nodes": len(space.nodes), "seconds": float(np.median(times)), "peak_gib": peak}
+    print(json.dumps(row))
+
+
+def breakdown(steps=20):
+    """Where the time of a step goes, by timing the calls inside it."""
+    rows = []
+    for refinements in (4, 6):
+        for solver in ("lagged", "cholmod"):
+            space = sphere(refinements)
+            states = ec.evolve(
+                space, ec.problems.expanding_sphere(), 3, 1e-3, (steps + 10) * 1e-3, solver=solver
+            )
+            run(states, 10)
+            spent = dict.fromkeys(("assembly", "loads", "solves"), 0.0)
+            with timed(spent, "assembly", SurfaceSpace, "assemble"):
+                with timed(spent, "loads", SurfaceSpace, "load_with"):
+                    with timed(spent, "solves", LaggedSolver, "solve"):
+                        total = run(states, steps)
+            spent["rest"] = total - sum(spent.values())
+            per_step = {name: seconds / steps for name, seconds in spent.items()}
+            rows.append(per_step | {"nodes": len(space.nodes), "solver": solver})
+            print(rows[-1], flush=True)
+    return rows
+
+
+@contextmanager
+def timed(spent, label, owner, name):
+    """Add the time of every call of a method to spent[label]."""
+    method = getattr(owner, name)
+
+    def wrapper(*args, **options):
+        start = time.perf_counter()
+        result = method(*args, **options)
+        spent[label] += time.perf_counter() - start
+        return result
+
+    setattr(owner, name, wrapper)
+    try:
+        yield
+    finally:
+        setattr(owner, name, method)
+
+
+def limits():
+    """How far assembly is from what memory and arithmetic allow."""
+    space = sphere(6)
+    n_cells, n = space.cells.shape
+    pairs, points = n * (n + 1) // 2, len(space.rule.weights)
+    nnz = space.mass_stiffness(space.nodes)[0].nnz
+    half = (nnz + len(space.nodes)) // 2
+    # Read nodes by element; write and read back the entries of two matrices with an index each;
+    # write half of both matrices, read it with an index, write both whole.
+    moved = n_cells * n * (3 * 8 + 8) + 2 * n_cells * pairs * (8 + 8 + 4)
+    moved += 2 * (half * 16 + nnz * (4 + 8))
+    flops = 2 * n_cells * points * (2 * n * 3 + pairs * 4) + 40 * n_cells * points
+    source, target = np.ones((2, 8_000_000))
+    square = np.ones((1500, 1500))
+    copy = min(seconds(lambda: np.copyto(target, source)) for _ in range(5))
+    gemm = min(seconds(lambda: square @ square) for _ in range(5))
+    spent = np.median([seconds(lambda: space.mass_stiffness(space.nodes)) for _ in range(15)])
+    return {
+        "nodes": len(space.nodes),
+        "seconds": float(spent),
+        "bytes": moved,
+        "bandwidth": 2 * source.nbytes / copy,
+        "flops": flops,
+        "peak": 2 * 1500**3 / gemm,
+    }
+
+
+def seconds(function):
+    """Seconds for one call."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+SUITE = {
+    "assembly": assembly,
+    "step": lambda: step("lagged", "sparsecholesky"),
+    "step_fast": lambda: step("cholmod", "sparsecholesky"),
+    "step_lagged_peer": lambda: step("lagged", "lagged"),
+    "implicit_euler": implicit_euler,
+    "scaling": scaling,
+    "breakdown": breakdown,
+    "limits": limits,
+}
+
+
+def main():
+    """Run the suite, or the parts named, and keep what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[*SUITE, []], help="default: all")
+    parts = parser.parse_args().parts or list(SUITE)
+    ngsolve.SetNumThreads(1)
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for part in parts:
+        results[part] = SUITE[part]()
+    results["machine"] = machine() | {"ngsolve": ngsolve.__version__}
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
