@@ -1,10 +1,10 @@
 """Evolving surface finite elements in space, backward difference formulas in time."""
 
-from esfem_core import bdf, errors, problems, study
+from esfem_core import bdf, errors, multipliers, problems, study
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.flow import EvolutionError, State, evolve
 from esfem_core.linear_solver import DirectSolver, LaggedSolver
-from esfem_core.problems import Exact, Problem
+from esfem_core.problem import Exact, Problem
 from esfem_core.surface import SurfaceSpace
 from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere
 
@@ -21,6 +21,7 @@ __all__ = [
     "check_triangulation",
     "errors",
     "evolve",
+    "multipliers",
     "problems",
     "sphere",
     "study",

@@ -1,5 +1,6 @@
 """Norms on discrete surfaces, and errors against an exact solution."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -7,10 +8,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from esfem_core.flow import State
-from esfem_core.problems import Problem
+from esfem_core.problem import Problem
 from esfem_core.surface import SurfaceSpace
 
-__all__ = ["Errors", "compare", "difference", "seminorm"]
+__all__ = ["Errors", "compare", "difference", "seminorm", "time_norms"]
 
 Array = NDArray[np.float64]
 
@@ -146,3 +147,46 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
     return Errors(
         *norms(state.x, reference.x), *norms(state.v, reference.v), *norms(state.u, reference.u)
     )
+
+
+def time_norms(
+    space: SurfaceSpace, problem: Problem, states: Iterable[State], window: tuple[float, float]
+) -> tuple[float, float]:
+    """Errors of u over a run, in the norms of [LMV] Theorem 5.2.
+
+    Parameters
+    ----------
+    space, problem : SurfaceSpace, Problem
+    states : iterable of State
+        A run with constant step tau, as :func:`esfem_core.evolve` yields it; none is kept.
+    window : (float, float)
+        Times t_n to count, both ends included (to 1e-9), starting states excluded.
+
+    Returns
+    -------
+    (float, float)
+        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of :func:`compare`.
+
+    Raises
+    ------
+    ValueError
+        If no step lies in the window, or the problem has no exact solution.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> problem = ec.problems.oscillating_ellipsoid("oscillation")
+    >>> states = ec.evolve(space, problem, order=2, step=1 / 20, end=1.0)
+    >>> print("{:.1e} {:.1e}".format(*time_norms(space, problem, states, window=(0.5, 1.0))))
+    4.0e-03 6.4e-03
+    """
+    times, errors = [], []
+    for state in states:
+        times.append(state.t)
+        if state.v is not None and window[0] - 1e-9 <= state.t <= window[1] + 1e-9:
+            errors.append(compare(space, problem, state))
+    if not errors:
+        raise ValueError(f"no step after the starting states lies in the window {window}")
+    tau = (times[-1] - times[0]) / (len(times) - 1)
+    return max(e.u_l2 for e in errors), float(np.sqrt(tau * sum(e.u_h1**2 for e in errors)))

@@ -14,13 +14,13 @@ from scipy.sparse import csr_array
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.bdf import delta, gamma
 from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver, cholmod, superlu
-from esfem_core.problems import Problem
+from esfem_core.problem import Problem
 from esfem_core.surface import Assembly, SurfaceSpace
 
 __all__ = ["EvolutionError", "State", "evolve"]
 
 Array = NDArray[np.float64]
-GUESS = 4  # values that a first guess is extrapolated from, if there are so many
+GUESS = 5  # values that a first guess is extrapolated from, if there are so many
 MASSES = ("extrapolated", "reassembled", "updated")
 SOLVERS = ("lagged", "cholmod", "direct")
 

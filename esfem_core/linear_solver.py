@@ -193,28 +193,29 @@ class LaggedSolver:
         FloatingPointError
             If the norm of a right-hand side is not finite.
         """
-        columns, x = b.reshape(len(b), -1), guess.reshape(len(b), -1).copy()
+        # Right-hand sides as contiguous rows: NumPy is slow on many short rows.
+        rows, x = _rows(b), _rows(guess).copy()
         with np.errstate(over="ignore"):
-            squares = _dots(columns, columns)
+            squares = _dots(rows, rows)
         if not np.isfinite(squares).all():
             raise FloatingPointError("the right-hand side of a linear system is not finite")
-        x[:, squares == 0] = 0.0
+        x[squares == 0] = 0.0
         done = False
         if self._factor is not None:
-            done = self._conjugate_gradients(A, columns, x, squares)
+            done = self._conjugate_gradients(A, rows, x, squares)
         if not done:
             self._factor = self._factorise(A)
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
-            if not self._conjugate_gradients(A, columns, x, squares):
+            if not self._conjugate_gradients(A, rows, x, squares):
                 raise np.linalg.LinAlgError(
                     f"no solution to a relative residual of {self.rtol:g} in {self.patience} "
                     "iterations: the matrix is singular, indefinite or not finite"
                 )
-        return x.reshape(b.shape)
+        return np.ascontiguousarray(x.T).reshape(b.shape)
 
     def _conjugate_gradients(self, A: csr_array, b: Array, x: Array, squares: Array) -> bool:
-        """Improve x in place, all columns at once; tell whether the residuals are small enough.
+        """Improve x in place, all rows at once; tell whether the residuals are small enough.
 
         `squares` are those of the norms of the right-hand sides b.
         """
@@ -231,20 +232,20 @@ class LaggedSolver:
             floor = (factor * rounding) ** 2 * _dots(x, x)
             return bool((rr <= np.maximum(bound, floor)).all())
 
-        r = b - A @ x
-        p, rz_old = np.zeros_like(r), np.ones(r.shape[1])
+        r = b - _times(A, x)
+        p, rz_old = np.zeros_like(r), np.ones(len(r))
         for k in range(self.patience + 1):
             if small(1):
                 break
             if k == self.patience:
                 return False
-            z = self._factor.solve(r)
+            z = _rows(self._factor.solve(np.ascontiguousarray(r.T)))
             rz = _dots(r, z)
-            p *= rz / rz_old
+            p *= (rz / rz_old)[:, None]
             p += z
-            Ap = A @ p
+            Ap = _times(A, p)
             pAp = _dots(p, Ap)
-            alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)
+            alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)[:, None]
             x += alpha * p
             Ap *= alpha
             r -= Ap
@@ -252,12 +253,22 @@ class LaggedSolver:
             self.iterations += 1
         # A constant added to x makes the residual's sum zero, at little cost to the residual.
         row_sums = np.add.reduceat(A.data, A.indptr[:-1])
-        shift = r.sum(axis=0) / row_sums.sum()
+        shift = (r.sum(axis=1) / row_sums.sum())[:, None]
         x += shift
-        r -= np.outer(row_sums, shift)
+        r -= shift * row_sums
         return small(4)
 
 
+def _rows(b: Array) -> Array:
+    """Columns (N,) or (N, m) as contiguous rows (m, N)."""
+    return np.ascontiguousarray(b.reshape(len(b), -1).T)
+
+
+def _times(A: csr_array, x: Array) -> Array:
+    """A times each row of x."""
+    return np.stack([A @ row for row in x])
+
+
 def _dots(a: Array, b: Array) -> Array:
-    """Inner products column by column."""
-    return np.array([u @ v for u, v in zip(a.T, b.T, strict=True)])
+    """Inner products row by row."""
+    return np.array([u @ v for u, v in zip(a, b, strict=True)])

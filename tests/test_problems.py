@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 import esfem_core as ec
-from esfem_core.problems import _lambert_of_exponential
+from esfem_core.spheres import _lambert_of_exponential
 
 
 def test_expanding_sphere_symbolically():
