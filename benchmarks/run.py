@@ -8,7 +8,6 @@ Run from the root of the repository, on a machine that does nothing else (about 
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -55,7 +54,7 @@ def assembly(repeats=15):
             theirs = peer.coefficients(w) @ (peer.scipy(form) @ peer.coefficients(u))
             size = np.linalg.norm(w) * np.linalg.norm(matrix @ u)
             differences.append(abs(w @ (matrix @ u) - theirs) / size)
-        rows.append(row | {"nodes": len(x), "difference": max(differences)})
+        rows.append(row | {"nodes": len(x), "difference": float(max(differences))})
         print(rows[-1], flush=True)
     return rows
 
@@ -139,7 +138,8 @@ def one_size(refinements, steps=12):
     for _ in range(8):
         next(states)
     times = [run(states, 1) for _ in range(steps)]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    status = Path("/proc/self/status").read_text()  # of this process alone, unlike getrusage
+    peak = int(status.split("VmHWM:")[1].split()[0]) / 2**20
     row = {"nodes": len(space.nodes), "seconds": float(np.median(times)), "peak_gib": peak}
     print(json.dumps(row))
 
@@ -155,10 +155,12 @@ def breakdown(steps=20):
             )
             run(states, 10)
             spent = dict.fromkeys(("assembly", "loads", "solves"), 0.0)
-            with timed(spent, "assembly", SurfaceSpace, "assemble"):
-                with timed(spent, "loads", SurfaceSpace, "load_with"):
-                    with timed(spent, "solves", LaggedSolver, "solve"):
-                        total = run(states, steps)
+            with (
+                timed(spent, "assembly", SurfaceSpace, "assemble"),
+                timed(spent, "loads", SurfaceSpace, "load_with"),
+                timed(spent, "solves", LaggedSolver, "solve"),
+            ):
+                total = run(states, steps)
             spent["rest"] = total - sum(spent.values())
             per_step = {name: seconds / steps for name, seconds in spent.items()}
             rows.append(per_step | {"nodes": len(space.nodes), "solver": solver})

@@ -7,9 +7,10 @@ there are a positive definite G and real gamma_0, ..., gamma_p such that for all
         = sum_{i,j=1..p} g_ij (<v_i, v_j> - <v_{i-1}, v_{j-1}>) + |sum_i gamma_i v_i|^2
 
 ([LMV] Lemma 3.1). On the unit circle Re(delta conj(mu)) is a polynomial F in x = cos(theta), and
-the identity says |gamma|^2 = F there. So gamma is a spectral factor of F, and G follows from it by
-sums along diagonals. Double zeros of F, at x = 1 because delta(1) = 0 and inside (-1, 1) at the
-smallest multiplier, are kept double: gamma itself is ill-conditioned there, |gamma|^2 = F is not.
+the identity says that F is the squared modulus of gamma there. So gamma is a spectral factor of F,
+and G follows from it by sums along diagonals. The zero of F at x = 1, there because delta(1) = 0,
+and double zeros in (-1, 1), there at the smallest multiplier, are treated apart: near them gamma
+itself is ill-conditioned, but its squared modulus, which is all that G needs, is not.
 """
 
 import math

@@ -178,18 +178,32 @@ class TestG:
             # zeros on the circle are double, which np.roots knows to half of the digits
             assert abs(np.roots(gamma[::-1])).min() > 1 - 1e-6
 
-    def test_is_the_largest(self):
-        """The other factor of F, with its zero inside, gives a G that is smaller by a square."""
-        eta = 0.5  # p = 2: F = (1 - x)(2 - x)
-        inner = 2 - math.sqrt(3)
-        gamma = np.convolve([1, -1], [1, -inner])  # newest value first
-        gamma *= math.sqrt((1.5 + 2 * eta) / (gamma @ gamma))
-        G = multipliers.g_matrix(2, eta)
-        other = np.array([[0, 0], [0, 1.5 - gamma[0] ** 2]])
-        other[0, 1] = other[1, 0] = (-2 - 1.5 * eta) / 2 - gamma[0] * gamma[1]
-        other[0, 0] = gamma[2] ** 2
-        assert np.linalg.eigvalsh(G - other)[0] > -1e-14
-        assert 0 < np.linalg.eigvalsh(other)[0] < np.linalg.eigvalsh(G)[0] / 50
+    @pytest.mark.parametrize("p", range(1, 6))
+    def test_is_the_largest(self, p):
+        """The same gamma in reverse order gives the smallest G, by sums along diagonals."""
+        for eta in etas(p):
+            left = np.outer(ec.bdf.delta(p), np.pad([1, -eta], (0, p - 1)))[::-1, ::-1]
+            gamma = multipliers.gammas(p, eta)[::-1]
+            R = (left + left.T) / 2 - np.outer(gamma, gamma)
+            smaller = np.array(
+                [
+                    [
+                        sum(R[k + 1, k + 1 + j - i] for k in range(i, p - max(j - i, 0)))
+                        for j in range(p)
+                    ]
+                    for i in range(p)
+                ]
+            )
+            G = multipliers.g_matrix(p, eta)
+            assert np.linalg.eigvalsh(smaller)[0] > -1e-13
+            assert np.linalg.eigvalsh(G - smaller)[0] > -1e-13
+
+    def test_choice_of_the_factor_matters(self):
+        """For p = 2 and eta = 1/2 both factors are known: F = (1 - x)(2 - x)."""
+        w = 2 - math.sqrt(3)  # 2 - x = |1 - w z|^2/(2 w)
+        scale = 1 / (2 * math.sqrt(w))
+        expected = scale * np.convolve([1, -1], [1, -w])
+        np.testing.assert_allclose(multipliers.gammas(2, 0.5), expected, atol=1e-15)
 
     @pytest.mark.parametrize("p", range(1, 6))
     def test_border_of_the_admissible(self, p):
