@@ -1,7 +1,7 @@
 """Multipliers and the matrix G of G-stability ([N] Section 4.1, [LMV] Section 3.3).
 
 For polynomials delta and mu without a common divisor and with Re(delta/mu) > 0 in the unit disc
-there are a positive definite G and real gamma_0, ..., gamma_p such that for all vectors
+there are a positive definite G and real gamma_0, ..., gamma_p such that for all vectors::
 
     <sum_i delta_i v_{p-i}, sum_j mu_j v_{p-j}>
         = sum_{i,j=1..p} g_ij (<v_i, v_j> - <v_{i-1}, v_{j-1}>) + |sum_i gamma_i v_i|^2
