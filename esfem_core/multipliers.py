@@ -114,7 +114,7 @@ def gammas(p: int, eta: float) -> NDArray[np.float64]:
 
 
 def circle_polynomial(delta: ArrayLike, mu: ArrayLike) -> Polynomial:
-    """Real part of delta(z) conj(mu(z)) for |z| = 1, as a polynomial F in x = Re z.
+    """Real part of delta(z) conj(mu(z)) on the unit circle, as a polynomial F in x = Re z.
 
     Parameters
     ----------
