@@ -2,9 +2,10 @@
 
 from esfem_core import bdf, errors, multipliers, problems, study
 from esfem_core.assembly import DegenerateElementError
-from esfem_core.flow import EvolutionError, State, evolve
+from esfem_core.flow import evolve
 from esfem_core.linear_solver import DirectSolver, LaggedSolver
 from esfem_core.problem import Exact, Problem
+from esfem_core.state import EvolutionError, State
 from esfem_core.surface import SurfaceSpace
 from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere
 

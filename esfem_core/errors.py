@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.flow import State
 from esfem_core.problem import Problem
+from esfem_core.state import State
 from esfem_core.surface import SurfaceSpace
 
 __all__ = ["Errors", "compare", "difference", "seminorm", "time_norms"]

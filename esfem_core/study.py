@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from esfem_core import errors
-from esfem_core.flow import State, evolve
+from esfem_core.flow import evolve
 from esfem_core.problem import Problem
+from esfem_core.state import State
 from esfem_core.surface import SurfaceSpace
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
