@@ -70,6 +70,8 @@ def evolve(
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
         the default if it is given. "euler": linearly implicit Euler steps, extrapolated to
         order p, with updated mass matrices. Otherwise the states to start from.
+        Exact values at (p - 1) tau also restart the error of space there: to compare runs with
+        different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"}
         "lagged": conjugate gradients, preconditioned with a factorisation kept for many steps,
         to a relative residual of 1e-11. "cholmod": the same with the factorisation of CHOLMOD
