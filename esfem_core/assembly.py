@@ -164,6 +164,13 @@ def chunks(n_cells: int, n_points: int) -> Iterator[slice]:
     return (slice(i, min(i + length, n_cells)) for i in range(0, n_cells, length))
 
 
+def _sums(order: NDArray[np.int64], starts: NDArray[np.int64]) -> csr_array:
+    """Matrix whose row i adds up the entries order[starts[i]:starts[i + 1]] of a vector."""
+    ends = np.r_[starts, len(order)].astype(np.int32)
+    ones = np.ones(len(order))
+    return csr_array((ones, order.astype(np.int32), ends), shape=(len(starts), len(order)))
+
+
 class SparsePattern:
     """Where the element entries go in a symmetric (N, N) CSR matrix; made once per space.
 
@@ -185,14 +192,7 @@ class SparsePattern:
         rows, columns = np.divmod(keys[starts], n_nodes)
         n_half = len(starts)
         # Entry h of the upper triangle is the sum of the element entries order[starts[h]:...].
-        self._gather = csr_array(
-            (
-                np.ones(len(order)),
-                order.astype(np.int32),
-                np.r_[starts, len(order)].astype(np.int32),
-            ),
-            shape=(n_half, len(order)),
-        )
+        self._gather = _sums(order, starts)
         off = rows != columns
         half = np.arange(n_half)
         full = csr_array(
@@ -210,10 +210,7 @@ class SparsePattern:
 
     def matrix(self, entries: Array) -> csr_array:
         """Sum element entries (P, T) into a new CSR matrix."""
-        return self.with_data((self._gather @ entries.ravel()).take(self._mirror))
-
-    def with_data(self, data: Array) -> csr_array:
-        """CSR matrix with this pattern and the given entries."""
+        data = (self._gather @ entries.ravel()).take(self._mirror)
         matrix = csr_array((data, self.indices, self.indptr), shape=self.shape)
         matrix.has_canonical_format = True
         return matrix
@@ -226,14 +223,7 @@ class NodalSum:
         nodes = cells.T.ravel()
         order = np.argsort(nodes, kind="stable")
         counts = np.bincount(nodes, minlength=n_nodes)
-        self._gather = csr_array(
-            (
-                np.ones(len(nodes)),
-                order.astype(np.int32),
-                np.r_[0, np.cumsum(counts)].astype(np.int32),
-            ),
-            shape=(n_nodes, len(nodes)),
-        )
+        self._gather = _sums(order, np.cumsum(counts) - counts)
 
     def __call__(self, entries: Array) -> Array:
         return np.column_stack([self._gather @ entry.ravel() for entry in entries])

@@ -22,7 +22,14 @@ if TYPE_CHECKING:
 
     from esfem_core.surface import SurfaceSpace
 
-__all__ = ["Html", "convergence_plot", "flat_triangles", "style", "surface_animation"]
+__all__ = [
+    "Html",
+    "convergence_plot",
+    "flat_triangles",
+    "html_table",
+    "style",
+    "surface_animation",
+]
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -50,6 +57,39 @@ class Html:
 
     def _repr_html_(self) -> str:
         return self.text
+
+
+def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind: str = "") -> Html:
+    """Make a table that scrolls where the page is too narrow for it.
+
+    Parameters
+    ----------
+    header : iterable
+        Heads of the columns.
+    rows : iterable of iterables
+        Cells, written with ``str``; they may hold HTML.
+    kind : str
+        Further CSS classes.
+
+    Returns
+    -------
+    Html
+
+    Examples
+    --------
+    >>> html_table(["p", "order"], [[1, "0.99"]])
+    p order
+    1 0.99
+    """
+    heads, lines = [str(cell) for cell in header], [[str(cell) for cell in row] for row in rows]
+    head = "".join(f'<th scope="col">{cell}</th>' for cell in heads)
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in line) + "</tr>" for line in lines)
+    css = f"esfem-table {kind}".strip()
+    return Html(
+        f'<div class="{css}"><table>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>",
+        "\n".join(" ".join(line) for line in [heads, *lines]),
+    )
 
 
 def style() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from esfem_core import errors
 from esfem_core.flow import evolve
+from esfem_core.plotting import html_table
 from esfem_core.problem import Problem
 from esfem_core.state import State
 from esfem_core.surface import SurfaceSpace
@@ -98,14 +99,7 @@ class ConvergenceTable:
 
     def _repr_html_(self) -> str:
         header, rows = self._cells()
-        head = "".join(f'<th scope="col">{cell}</th>' for cell in header)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows
-        )
-        return (
-            '<div class="esfem-table esfem-convergence"><table>'
-            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-        )
+        return html_table(header, rows, "esfem-convergence").text
 
 
 def time_study(
