@@ -7,7 +7,7 @@ STAMP  := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv book test check-book lint format clean
+.PHONY: help venv book test full check-book lint format clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -28,6 +28,9 @@ book: $(STAMP) ## build the book: _build/html/index.html
 test: $(STAMP) ## solver, doctests and all notebooks
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 \
 	    --nbval-lax --nbval-current-env tests esfem_core book
+
+full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on
+	$(BIN)/python -m esfem_core.experiments
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages

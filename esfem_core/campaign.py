@@ -1,0 +1,235 @@
+"""Long runs that may be interrupted: cases in parallel, one line of a file for each finished case.
+
+An experiment is a function of its parameters and a list of chains of parameters. The cases of a
+chain run in their order, so that a chain can end early (when a smaller step changes nothing any
+more); different chains run side by side. Each finished case is appended to a file of JSON lines,
+with what is needed to judge and to repeat it; a second run goes on where the first one stopped.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+__all__ = ["Experiment", "Row", "case", "read", "run", "select"]
+
+Parameters = Mapping[str, Any]
+Results = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to compute, and for which parameters.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of the file of results, without ".jsonl".
+    title : str
+        One line: what it reproduces.
+    compute : callable
+        ``compute(**parameters)`` returns a dict of JSON values. It is called in another process,
+        so it must be a function of a module.
+    chains : sequence of sequences of dict
+        Parameters of the cases, JSON values only. Those of a chain are computed in order.
+    enough : callable, optional
+        ``enough(previous, current)`` looks at two neighbouring results of a chain; if it says True,
+        the rest of the chain is left out.
+    """
+
+    name: str
+    title: str
+    compute: Callable[..., Results]
+    chains: Sequence[Sequence[Parameters]]
+    enough: Callable[[Results, Results], bool] | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finished case.
+
+    Attributes
+    ----------
+    parameters, results : dict
+    provenance : dict
+        seconds, date (UTC), package version, hash of the package's source, versions of Python,
+        NumPy and SciPy, processor.
+    """
+
+    parameters: Parameters
+    results: Results
+    provenance: Mapping[str, Any]
+
+
+def read(path: str | Path) -> list[Row]:
+    """The finished cases in a file; none if there is no such file yet.
+
+    Raises
+    ------
+    ValueError
+        If a line other than the last is not a row. (A last line without its end is what an
+        interrupted run leaves; it is not read.)
+    """
+    path = Path(path)
+    if not path.exists():
+        return []
+    *lines, _ = path.read_text().split("\n")
+    try:
+        return [Row(**json.loads(line)) for line in lines]
+    except (json.JSONDecodeError, TypeError) as error:
+        raise ValueError(f"{path} is not a file of results: {error}") from error
+
+
+def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
+    """Rows with these parameters.
+
+    Examples
+    --------
+    >>> rows = [Row({"order": p, "step": s}, {}, {}) for p in (1, 2) for s in (0.1, 0.05)]
+    >>> [row.parameters["step"] for row in select(rows, order=2)]
+    [0.1, 0.05]
+    """
+    wanted = parameters.items()
+    return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
+
+
+def case(experiment: Experiment, parameters: Parameters) -> Row:
+    """Compute one case here and now."""
+    start = time.perf_counter()
+    results = experiment.compute(**parameters)
+    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **_here()})
+
+
+def run(
+    experiments: Sequence[Experiment], folder: str | Path, jobs: int | None = None
+) -> Iterator[tuple[Experiment, Row | Exception | None, int]]:
+    """Compute all cases that are not yet in the files of a folder.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    folder : path
+        Is made if missing; ``<name>.jsonl`` in it receives the rows of each experiment.
+    jobs : int, optional
+        Number of processes; one for each core if None.
+
+    Yields
+    ------
+    experiment : Experiment
+    outcome : Row, exception or None
+        The case just finished, or what ended its chain, or None for a case found in the file.
+    cases : int
+        How many cases this settles.
+
+    Raises
+    ------
+    ValueError
+        If jobs is not positive.
+    """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"jobs must be at least 1, but is {jobs}")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    pool = ProcessPoolExecutor(jobs or os.cpu_count(), mp_context=get_context("spawn"))
+    running: dict[Future[Row], _Chain] = {}
+
+    def go_on(chain: "_Chain") -> None:
+        if chain.waiting:
+            running[pool.submit(case, chain.experiment, chain.waiting[0])] = chain
+
+    try:
+        for experiment in experiments:
+            known = read(_path(folder, experiment))
+            _truncate(_path(folder, experiment))
+            for cases in experiment.chains:
+                chain = _Chain(experiment, list(cases))
+                for parameters in cases:
+                    found = [row for row in known if row.parameters == parameters]
+                    if not found or not chain.waiting:
+                        break
+                    yield experiment, None, chain.settle(found[-1])
+                go_on(chain)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                chain = running.pop(future)
+                error = future.exception()
+                if isinstance(error, Exception):
+                    yield chain.experiment, error, len(chain.waiting)
+                    continue
+                row = future.result()
+                with _path(folder, chain.experiment).open("a") as file:
+                    file.write(json.dumps(vars(row)) + "\n")
+                yield chain.experiment, row, chain.settle(row)
+                go_on(chain)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+class _Chain:
+    """What is left of a chain."""
+
+    def __init__(self, experiment: Experiment, waiting: list[Parameters]) -> None:
+        self.experiment, self.waiting = experiment, waiting
+        self.last: Row | None = None
+
+    def settle(self, row: Row) -> int:
+        """Take the result of the first case that waits; the number of cases which that settles."""
+        enough = self.experiment.enough
+        before = len(self.waiting)
+        stop = self.last and enough and enough(self.last.results, row.results)
+        self.waiting = [] if stop else self.waiting[1:]
+        self.last = row
+        return before - len(self.waiting)
+
+
+def _path(folder: Path, experiment: Experiment) -> Path:
+    return folder / f"{experiment.name}.jsonl"
+
+
+def _truncate(path: Path) -> None:
+    """Drop a last line that an interruption has cut off."""
+    if path.exists():
+        text = path.read_text()
+        path.write_text(text[: text.rfind("\n") + 1])
+
+
+@cache
+def _here() -> dict[str, str]:
+    """Code, libraries and machine."""
+    from importlib.metadata import version
+
+    package = Path(__file__).parent
+    source = hashlib.sha256()
+    for file in sorted(package.glob("*.py")):
+        source.update(file.read_bytes())
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        "esfem_core": f"{version('esfem-core')}, source {source.hexdigest()[:12]}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "machine": f"{_processor()}, {os.cpu_count()} cores, {sys.platform}",
+    }
+
+
+def _processor() -> str:
+    """Its name, where the system says it."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
