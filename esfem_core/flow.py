@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,8 @@ def evolve(
     ------
     ValueError
         If an argument is out of range; at the call, before anything is computed.
+    ImportError
+        If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
         If a run meets a value that is not finite, or an element degenerates or turns over.
 
@@ -108,6 +111,8 @@ def evolve(
         raise ValueError(f"mass must be one of {MASSES}, got {mass!r}")
     if solver not in SOLVERS:
         raise ValueError(f"solver must be one of {SOLVERS}, got {solver!r}")
+    if solver == "cholmod" and find_spec("cholespy") is None:
+        raise ImportError('solver="cholmod" needs the package cholespy: the extra "fast"')
     if start is None:
         start = "exact" if problem.exact is not None else "euler"
     if start == "exact" and problem.exact is None:

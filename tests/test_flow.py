@@ -1,5 +1,6 @@
 """The time schemes: what they satisfy exactly, what they refuse, how they stop."""
 
+import sys
 from itertools import islice
 
 import numpy as np
@@ -260,3 +261,10 @@ def test_a_motion_that_flattens_the_surface_to_a_line_stops():
 def test_functions_of_the_wrong_shape_are_explained():
     with pytest.raises(ValueError, match=r"f must return an array of shape \(128, 6\), got \(128,"):
         final(ec.evolve(SPACE, wobble(f=lambda u, grad_u, x, t: grad_u), 1, 0.1, 0.5))
+
+
+def test_a_solver_that_is_not_installed_is_missed_at_the_call(monkeypatch):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1)
+    monkeypatch.setitem(sys.modules, "cholespy", None)
+    with pytest.raises(ImportError, match='needs the package cholespy: the extra "fast"'):
+        ec.evolve(space, ec.problems.growing_sphere(), 1, 0.1, 0.1, solver="cholmod")
