@@ -58,7 +58,8 @@ def evolve(
     step : float
         Step size tau.
     end : float
-        Final time, an integer multiple of `step` (to 1e-9) of at least p - 1 steps.
+        Final time, an integer multiple of `step` (to 1e-9) of at least p - 1 steps, and not before
+        the last starting state.
     mass : {"extrapolated", "reassembled", "updated"}
         Where the mass matrices are taken; no difference for a prescribed motion.
         "extrapolated": at x~^{n-j} on every level, which is (2.19), of order p.
@@ -70,7 +71,8 @@ def evolve(
     start : {"exact", "euler"} or sequence of p states, optional
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
         the default if it is given. "euler": linearly implicit Euler steps, extrapolated to
-        order p, with updated mass matrices. Otherwise the states to start from.
+        order p, with updated mass matrices. Otherwise the states to start from, a step apart; the
+        last one's time, a multiple of the step, is where the run goes on.
         Exact values at (p - 1) tau also restart the error of space there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"}
@@ -119,8 +121,8 @@ def evolve(
         raise ValueError('start="exact" needs a problem with an exact solution')
     if isinstance(start, str) and start not in ("exact", "euler"):
         raise ValueError(f'start must be "exact", "euler" or a sequence of states, got {start!r}')
-    if not isinstance(start, str) and len(start) != order:
-        raise ValueError(f"start must hold p = {order} states, got {len(start)}")
+    if not isinstance(start, str):
+        _check_states(start, order, step, n_steps)
     steps = partial(march, space, problem, make_solver=_solver_factory(space, solver))
     return _run(space, problem, order, step, n_steps, start, mass, steps)
 
@@ -156,6 +158,19 @@ def _count_steps(step: float, end: float, order: int) -> int:
     return n_steps
 
 
+def _check_states(start: Sequence[State], order: int, step: float, n_steps: int) -> None:
+    if len(start) != order:
+        raise ValueError(f"start must hold p = {order} states, got {len(start)}")
+    times = [s.t for s in start]
+    last = round(times[-1] / step)
+    wanted = [(last - j) * step for j in reversed(range(order))]
+    if not np.allclose(times, wanted, rtol=1e-9, atol=1e-9 * step) or last > n_steps:
+        raise ValueError(
+            f"start must hold states at successive multiples of the step {step:g}, up to the end "
+            f"{n_steps * step:g}; got times {times}"
+        )
+
+
 def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
     factorise = partial(cholmod if solver == "cholmod" else superlu, order=space.elimination_order)
     if solver == "direct":
@@ -183,7 +198,8 @@ def _run(
     else:
         states = list(start)  # type: ignore[arg-type]
     yield from states
-    times = ((n, n * step) for n in range(order, n_steps + 1))
+    last = round(states[-1].t / step)
+    times = ((n, n * step) for n in range(last + 1, n_steps + 1))
     yield from steps(order, step, states, times, mass)
 
 

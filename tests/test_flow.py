@@ -170,6 +170,24 @@ def test_starting_from_given_states_goes_on_where_they_end():
     np.testing.assert_allclose(again[-1].u, states[-1].u, atol=1e-13)
 
 
+def test_starting_later():
+    """Steps are numbered on from the last starting state; a motion in time needs the right t."""
+    problem = ec.problems.baseball_bat()
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    states = list(ec.evolve(space, problem, 3, 0.1, 1.0, solver="direct"))
+    again = list(ec.evolve(space, problem, 3, 0.1, 1.0, start=states[4:7], solver="direct"))
+    assert [s.t for s in again] == [s.t for s in states[4:]]
+    np.testing.assert_array_equal(again[-1].x, states[-1].x)
+    np.testing.assert_allclose(again[-1].u, states[-1].u, atol=1e-15)
+
+
+def test_starting_states_must_be_a_step_apart():
+    states = list(ec.evolve(SPACE, wobble(), 2, 0.05, 0.5))
+    for start, end in [(states[2:4], 1.0), (states[0:6:5], 0.5), (states[7:9], 0.35)]:
+        with pytest.raises(ValueError, match=r"start must hold states at successive multiples of"):
+            ec.evolve(SPACE, wobble(), 2, 0.05 if end < 0.5 else 0.1, end, start=start)
+
+
 REFUSED = [
     ({"order": 0}, "order must be an integer >= 1, got 0"),
     ({"order": 7}, "BDF7 is not zero-stable.*allow_unstable=True"),
