@@ -87,7 +87,7 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
 
     def f(u: Array, grad_u: Array, x: Array, t: float) -> Array:
         if evaluation == "lifted":
-            x = Ellipsoid((float(np.sqrt(a(t))), 1.0, 1.0)).closest(x)
+            x = _closest_on_spheroid(x, a(t))
         x1, x2, x3 = np.moveaxis(x, -1, 0)
         size = np.sqrt((x1 / a(t)) ** 2 + x2**2 + x3**2)
         n1, n2, n3 = x1 / a(t) / size, x2 / size, x3 / size
@@ -105,6 +105,11 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
         motion=position,
         exact=Exact(position, velocity, exact_u),
     )
+
+
+def _closest_on_spheroid(x: Array, a: float) -> Array:
+    """Points of {y1^2/a + y2^2 + y3^2 = 1} closest to x, (..., 3)."""
+    return Ellipsoid((float(np.sqrt(a)), 1.0, 1.0)).closest(x)
 
 
 def baseball_bat(u0: Callable[[Array], Array] | Array | None = None) -> Problem:
