@@ -327,9 +327,8 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     inverse = LinearOperator(norm.shape, splu(norm.tocsc()).solve, dtype=float)
     start = np.random.default_rng(0).normal(size=form.shape[0])
     # The extreme eigenvalues are often close together: a wide subspace, no more digits than needed.
-    values = eigsh(
-        form, 1, norm, None, "LM", start, ncv=60, tol=TOLERANCE, return_eigenvectors=False, Minv=inverse
-    )
+    options = {"ncv": 60, "tol": TOLERANCE, "v0": start, "return_eigenvectors": False}
+    values = eigsh(form, 1, norm, which="LM", Minv=inverse, **options)
     return float(abs(values[0]))
 
 

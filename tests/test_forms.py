@@ -109,7 +109,7 @@ def test_lifted_ratio_is_that_of_the_lifted_tangents():
 
 
 def test_relative_norm_of_dense_and_large_matrices_agree():
-    space = torus_space(2, 14)
+    space = torus_space(2, 8)
     x, v = space.nodes, RNG.normal(size=space.nodes.shape)
     M, A = space.mass_stiffness(x)
     assert len(x) > forms.DENSE
