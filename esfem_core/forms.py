@@ -327,8 +327,17 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     inverse = LinearOperator(norm.shape, splu(norm.tocsc()).solve, dtype=float)
     start = np.random.default_rng(0).normal(size=form.shape[0])
     # The extreme eigenvalues are often close together: a wide subspace, no more digits than needed.
-    options = {"ncv": 60, "tol": TOLERANCE, "v0": start, "return_eigenvectors": False}
-    values = eigsh(form, 1, norm, which="LM", Minv=inverse, **options)
+    values = eigsh(
+        form,
+        1,
+        norm,
+        which="LM",
+        v0=start,
+        ncv=60,
+        tol=TOLERANCE,
+        return_eigenvectors=False,
+        Minv=inverse,
+    )
     return float(abs(values[0]))
 
 
