@@ -36,7 +36,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-9  # relative, of the eigenvalue that is iterated for
-DENSE = 400  # up to this size all eigenvalues cost less than the iteration for one
+DENSE = 1000  # up to this size all eigenvalues cost less than the iteration for one
 
 
 def mass(space: SurfaceSpace, x: Array, weight: Array | None = None) -> csr_array:
