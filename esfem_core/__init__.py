@@ -1,13 +1,13 @@
 """Evolving surface finite elements in space, backward difference formulas in time."""
 
-from esfem_core import bdf, errors, multipliers, problems, study
+from esfem_core import bdf, errors, exact_surfaces, forms, multipliers, problems, study
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.flow import evolve
 from esfem_core.linear_solver import DirectSolver, LaggedSolver
 from esfem_core.problem import Exact, Problem
 from esfem_core.state import EvolutionError, State
 from esfem_core.surface import SurfaceSpace
-from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere
+from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere, torus
 
 __all__ = [
     "DegenerateElementError",
@@ -22,9 +22,12 @@ __all__ = [
     "check_triangulation",
     "errors",
     "evolve",
+    "exact_surfaces",
+    "forms",
     "multipliers",
     "problems",
     "sphere",
     "study",
     "to_unit_sphere",
+    "torus",
 ]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from esfem_core.exact_surfaces import Ellipsoid
 from esfem_core.problem import Exact, Problem
 
 __all__ = ["baseball_bat", "oscillating_ellipsoid"]
@@ -86,7 +87,7 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
 
     def f(u: Array, grad_u: Array, x: Array, t: float) -> Array:
         if evaluation == "lifted":
-            x = _closest_on_spheroid(x, a(t))
+            x = Ellipsoid((float(np.sqrt(a(t))), 1.0, 1.0)).closest(x)
         x1, x2, x3 = np.moveaxis(x, -1, 0)
         size = np.sqrt((x1 / a(t)) ** 2 + x2**2 + x3**2)
         n1, n2, n3 = x1 / a(t) / size, x2 / size, x3 / size
@@ -104,31 +105,6 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
         motion=position,
         exact=Exact(position, velocity, exact_u),
     )
-
-
-def _closest_on_spheroid(x: Array, a: float) -> Array:
-    """Points of {y1^2/a + y2^2 + y3^2 = 1} closest to x, (..., 3).
-
-    x - y is normal to the surface: y1 = x1/(1 + s/a), y2 = x2/(1 + s), y3 = x3/(1 + s), with the
-    same s > -min(1, a). The equation of the surface, q(s) = 1, is solved for s by Newton's method
-    in the form q^{-1/2} = 1, which is linear for a = 1.
-    """
-    first, others = x[..., 0] ** 2 / a, x[..., 1] ** 2 + x[..., 2] ** 2
-    s = np.zeros_like(first)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(20):
-            q1, q2 = first / (1 + s / a) ** 2, others / (1 + s) ** 2
-            q = q1 + q2
-            s += q * (np.sqrt(q) - 1) / (q1 / (a + s) + q2 / (1 + s))
-            if not np.any(np.abs(q - 1) > 1e-8):  # which the step just taken has squared
-                break
-    bad = ~((np.abs(q - 1) <= 1e-8) & (s > -min(1, a)))
-    if bad.any():
-        raise ValueError(
-            f"{x[bad][0].tolist()} is too far from the ellipsoid to have a unique closest point"
-        )
-    stretch = 1 + s
-    return np.stack([x[..., 0] / (1 + s / a), x[..., 1] / stretch, x[..., 2] / stretch], axis=-1)
 
 
 def baseball_bat(u0: Callable[[Array], Array] | Array | None = None) -> Problem:

@@ -225,10 +225,7 @@ class SurfaceSpace:
         expected = (len(self.cells), len(self.rule.weights))
         if values.shape[:2] != expected:
             raise ValueError(f"values must have shape {(*expected, '...')}, got {values.shape}")
-        density = np.empty(expected[::-1])
-        for c, g in self._metrics(x):
-            density[:, c] = g.s
-        return self.load_with(density, values)
+        return self.load_with(self.density(x).T, values)
 
     def load_with(self, density: Array, values: Array) -> Array:
         """Load vector with the area density, (Q, T), of an :class:`Assembly`."""
@@ -294,6 +291,25 @@ class SurfaceSpace:
         for c, g in self._metrics(x):
             out[..., c] = g.normals()
         return out.transpose(2, 1, 0)
+
+    def density(self, x: Array) -> Array:
+        """Area density of Γ_h[x] over the reference triangle, (T, Q): the area is w @ density.T."""
+        out = np.empty((len(self.rule.weights), len(self.cells)))
+        for c, g in self._metrics(x):
+            out[:, c] = g.s
+        return out.T
+
+    def basis_gradients(self, x: Array) -> Array:
+        """Surface gradients of the basis functions of each element, (T, Q, n, 3).
+
+        The third index is that of ``cells``: ``basis_gradients(x)[t, q, a]`` is the gradient of the
+        basis function of node ``cells[t, a]`` at quadrature point q of element t.
+        """
+        n = self.cells.shape[1]
+        out = np.empty((n, 3, len(self.rule.weights), len(self.cells)))
+        for c, g in self._metrics(x):
+            out[..., c] = self._tables.gradient(g, np.eye(n)[:, :, None])
+        return out.transpose(3, 2, 0, 1)
 
     @cached_property
     def _entries(self) -> Array:

@@ -1,4 +1,4 @@
-"""Closed triangulations: the spheres of both papers, and what a mesh must be for the theory.
+"""Closed triangulations: spheres, a torus, and what a mesh must be for the theory.
 
 A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or returns one.
 """
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["check_triangulation", "sphere", "to_unit_sphere"]
+__all__ = ["check_triangulation", "sphere", "to_unit_sphere", "torus"]
 
 SHAPE_TOLERANCE = 1e-10  # smallest allowed 4 sqrt(3) area / (sum of squared edge lengths)
 
@@ -81,6 +81,41 @@ def sphere(kind: str = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
         vertices, faces = trimesh.remesh.subdivide(vertices, faces)
         vertices = to_unit_sphere(vertices)
     return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Trimesh:
+    """Triangulate the torus around the third axis by a grid of angles.
+
+    Parameters
+    ----------
+    R, r : float
+        Radius of the core circle and of the tube, R > r > 0.
+    n, m : int
+        Numbers of cells around the axis and around the tube, 3 or more; each cell is two
+        triangles. Even ones have n/m near R/r. A tube of few cells around the axis is far from
+        the torus: with n = 3 or 4 not every point has its own closest one.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Closed, oriented outwards, with n m vertices on the torus.
+
+    Raises
+    ------
+    ValueError
+        If a radius or a number is out of range.
+
+    Examples
+    --------
+    >>> mesh = torus(1.0, 0.4, n=20, m=8)
+    >>> len(mesh.vertices), len(mesh.faces), mesh.euler_number
+    (160, 320, 0)
+    """
+    if not (np.isfinite(R) and R > r > 0):
+        raise ValueError(f"a torus needs R > r > 0, got R = {R!r} and r = {r!r}")
+    if n != int(n) or m != int(m) or min(n, m) < 3:
+        raise ValueError(f"n and m must be integers >= 3, got n = {n!r} and m = {m!r}")
+    return trimesh.creation.torus(R, r, major_sections=int(n), minor_sections=int(m))
 
 
 def check_triangulation(tri: trimesh.Trimesh) -> None:

@@ -133,3 +133,25 @@ def test_vertices_of_a_file_without_connectivity_are_explained():
 def test_only_trimesh_is_taken():
     with pytest.raises(TypeError, match=r"expected a trimesh\.Trimesh, got tuple"):
         ec.check_triangulation(([], []))
+
+
+def test_torus_is_closed_oriented_and_on_the_torus():
+    tri = ec.torus(1.5, 0.5, 40, 16)
+    ec.check_triangulation(tri)
+    assert tri.euler_number == 0
+    assert tri.volume == pytest.approx(2 * np.pi**2 * 1.5 * 0.25, rel=0.05)
+    x, y, z = tri.vertices.T
+    np.testing.assert_allclose((np.hypot(x, y) - 1.5) ** 2 + z**2, 0.25, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((1.0, 1.0, 20, 8), "R > r > 0, got R = 1.0 and r = 1.0"),
+        ((1.0, 0.4, 2, 8), "integers >= 3, got n = 2 and m = 8"),
+        ((1.0, 0.4, 20, 8.5), "integers >= 3, got n = 20 and m = 8.5"),
+    ],
+)
+def test_torus_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ec.torus(*arguments)

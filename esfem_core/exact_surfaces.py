@@ -1,0 +1,212 @@
+"""Surfaces known exactly: signed distance, normal, closest point, curvature.
+
+To compare a discrete surface with the surface it approximates ([N] 2.1, 2.2, 2.12), one needs for
+each point x nearby the decomposition x = p + d ν(p) and the curvature at p.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Ellipsoid", "ExactSurface", "Near", "Sphere", "Torus"]
+
+Array = NDArray[np.float64]
+CONVERGED = 1e-8  # error of the ellipsoid's equation before the last Newton step squares it
+
+
+class Near(NamedTuple):
+    """The decomposition x = p + d ν of points near a surface ([N] (2.2)).
+
+    Attributes
+    ----------
+    points : (..., 3) float array
+        Closest points p.
+    distance : (...) float array
+        Signed distance d of x, positive outside.
+    normal : (..., 3) float array
+        Unit outward normal ν, at p and x alike.
+    weingarten : (..., 3, 3) float array
+        Weingarten map of the surface at p: the differential of ν, symmetric, zero on ν. Its other
+        eigenvalues are the principal curvatures, positive on a sphere.
+    """
+
+    points: Array
+    distance: Array
+    normal: Array
+    weingarten: Array
+
+    @property
+    def mean_curvature(self) -> Array:
+        """Sum H of the principal curvatures at p, as in [N] (2.4), of shape (...)."""
+        trace: Array = np.trace(self.weingarten, axis1=-2, axis2=-1)
+        return trace
+
+
+class ExactSurface(ABC):
+    """A closed surface with all that is known about it in closed form or by iteration."""
+
+    @abstractmethod
+    def near(self, x: Array) -> Near:
+        """Decompose points as p + d ν.
+
+        Parameters
+        ----------
+        x : (..., 3) float array
+            Points near the surface.
+
+        Returns
+        -------
+        Near
+
+        Raises
+        ------
+        ValueError
+            At a point that has no unique closest point.
+        """
+
+    def closest(self, x: Array) -> Array:
+        """Closest points p, for `project` of :class:`esfem_core.SurfaceSpace`."""
+        return self.near(x).points
+
+
+@dataclass(frozen=True)
+class Sphere(ExactSurface):
+    """Sphere around the origin.
+
+    Parameters
+    ----------
+    radius : float
+
+    Examples
+    --------
+    >>> Sphere(2.0).near(np.array([0.0, 0.0, 2.5])).distance.item()
+    0.5
+    """
+
+    radius: float = 1.0
+
+    def __post_init__(self) -> None:
+        _positive(radius=self.radius)
+
+    def near(self, x: Array) -> Near:  # noqa: D102 - documented by the base class
+        length = np.linalg.norm(x, axis=-1)
+        _refuse(x, length <= 0, "sphere")
+        normal = x / length[..., None]
+        weingarten = (np.eye(3) - _outer(normal)) / self.radius
+        return Near(self.radius * normal, length - self.radius, normal, weingarten)
+
+
+@dataclass(frozen=True)
+class Torus(ExactSurface):
+    """Torus around the third axis.
+
+    Parameters
+    ----------
+    R, r : float
+        Radius of the core circle and of the tube, R > r.
+
+    Examples
+    --------
+    >>> near = Torus(1.0, 0.5).near(np.array([[1.75, 0.0, 0.0], [0.25, 0.0, 0.0]]))
+    >>> near.distance, near.mean_curvature.round(4)
+    (array([0.25, 0.25]), array([2.6667, 0.    ]))
+    """
+
+    R: float = 1.0
+    r: float = 0.4
+
+    def __post_init__(self) -> None:
+        _positive(R=self.R, r=self.r)
+        if self.r >= self.R:
+            raise ValueError(f"a torus needs R > r, got R = {self.R!r} and r = {self.r!r}")
+
+    def near(self, x: Array) -> Near:  # noqa: D102
+        rho = np.hypot(x[..., 0], x[..., 1])
+        _refuse(x, rho <= 0, "torus")
+        outward = x * [1.0, 1.0, 0.0] / rho[..., None]
+        away = x - self.R * outward
+        length = np.linalg.norm(away, axis=-1)
+        _refuse(x, length <= 0, "torus")
+        normal = away / length[..., None]
+        round_axis = np.stack([-outward[..., 1], outward[..., 0], 0 * rho], axis=-1)
+        cosine = np.sum(normal * outward, axis=-1)
+        across = _outer(round_axis)
+        along_axis = (cosine / (self.R + self.r * cosine))[..., None, None] * across
+        weingarten = (np.eye(3) - _outer(normal) - across) / self.r + along_axis
+        return Near(self.R * outward + self.r * normal, length - self.r, normal, weingarten)
+
+
+@dataclass(frozen=True)
+class Ellipsoid(ExactSurface):
+    """Ellipsoid around the origin, axes along those of the coordinates.
+
+    Parameters
+    ----------
+    axes : (float, float, float)
+        Half axes c_i of {sum_i (y_i/c_i)^2 = 1}.
+
+    Examples
+    --------
+    >>> Ellipsoid((2.0, 1.0, 1.0)).closest(np.array([[3.0, 0.0, 0.0], [0.0, 0.3, 0.4]])).round(12)
+    array([[2. , 0. , 0. ], [0. , 0.6, 0.8]])
+    """
+
+    axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.axes) != (3,):
+            raise ValueError(f"axes must be three numbers, got {self.axes!r}")
+        _positive(axes=self.axes)
+
+    def near(self, x: Array) -> Near:  # noqa: D102
+        points = self.closest(x)
+        inverse = 1 / np.asarray(self.axes) ** 2
+        gradient = points * inverse
+        size = np.linalg.norm(gradient, axis=-1, keepdims=True)
+        normal = gradient / size
+        tangential = np.eye(3) - _outer(normal)
+        weingarten = tangential @ (inverse[:, None] * tangential) / size[..., None]
+        distance = np.sum((x - points) * normal, axis=-1)
+        return Near(points, distance, normal, weingarten)
+
+    def closest(self, x: Array) -> Array:
+        """Closest points p, for `project` of :class:`esfem_core.SurfaceSpace`.
+
+        x - p is normal to the surface: p_i = x_i/(1 + s/c_i^2) with the same s > -min c_i^2. The
+        equation of the surface, q(s) = 1, is solved for s by Newton's method in the form
+        q^{-1/2} = 1, which is linear for a sphere.
+        """
+        x = np.asarray(x, dtype=float)
+        squares = np.asarray(self.axes) ** 2
+        s = np.zeros(x.shape[:-1])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            for _ in range(20):
+                parts = x**2 / squares / (1 + s[..., None] / squares) ** 2
+                q = parts.sum(axis=-1)
+                slope = np.sum(parts / (squares + s[..., None]), axis=-1)
+                s = s + q * (np.sqrt(q) - 1) / slope
+                if not np.any(np.abs(q - 1) > CONVERGED):
+                    break
+        _refuse(x, ~((np.abs(q - 1) <= CONVERGED) & (s > -squares.min())), "ellipsoid")
+        points: Array = x / (1 + s[..., None] / squares)
+        return points
+
+
+def _outer(n: Array) -> Array:
+    outer: Array = n[..., :, None] * n[..., None, :]
+    return outer
+
+
+def _positive(**numbers: float | tuple[float, ...]) -> None:
+    for name, value in numbers.items():
+        if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0)):
+            raise ValueError(f"{name} must be positive and finite, got {value!r}")
+
+
+def _refuse(x: Array, bad: NDArray[np.bool_], surface: str) -> None:
+    if np.any(bad):
+        point = np.asarray(x)[bad][0].tolist()
+        raise ValueError(f"{point} is too far from the {surface} to have a unique closest point")
