@@ -231,7 +231,8 @@ def rate_of_u(space: SurfaceSpace, problem: Problem, t: float) -> Array:
         return interpolant(space, problem, s).u
 
     differences = [c * (u(t + i * _WIDTH) - u(t - i * _WIDTH)) for i, c in _STENCIL.items()]
-    return np.sum(differences, axis=0) / _WIDTH
+    rate: Array = np.sum(differences, axis=0) / _WIDTH
+    return rate
 
 
 def mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:

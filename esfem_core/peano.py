@@ -52,7 +52,7 @@ def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
     --------
     >>> kappa = bdf_kernel(2)
     >>> print(f"{kappa(0.5):.4f} {float(kappa.integrate(0, 2)):.4f}")
-    -0.2500 -0.3333
+    -0.3125 -0.3333
     """
     d = delta_exact(p)
     q = _degree(degree, 1, p)
