@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from esfem_core.bdf import delta, gamma
+from esfem_core.forms import divergence
 from esfem_core.linear_solver import Factor, superlu
 from esfem_core.problem import Problem
 from esfem_core.state import State
@@ -224,15 +225,16 @@ def combined(coefficients: Array, values: Sequence[Array]) -> Array:
     return total
 
 
+def difference(function: Callable[[float], Array]) -> Array:
+    """Derivative at 0 of a smooth function of order-one length scale."""
+    parts = [c * (function(i * _WIDTH) - function(-i * _WIDTH)) for i, c in _STENCIL.items()]
+    derivative: Array = np.sum(parts, axis=0) / _WIDTH
+    return derivative
+
+
 def rate_of_u(space: SurfaceSpace, problem: Problem, t: float) -> Array:
     """Material derivative of u at the nodes."""
-
-    def u(s: float) -> Array:
-        return interpolant(space, problem, s).u
-
-    differences = [c * (u(t + i * _WIDTH) - u(t - i * _WIDTH)) for i, c in _STENCIL.items()]
-    rate: Array = np.sum(differences, axis=0) / _WIDTH
-    return rate
+    return difference(lambda s: interpolant(space, problem, t + s).u)
 
 
 def mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
@@ -242,9 +244,7 @@ def mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
 
 def stretching(space: SurfaceSpace, x: Array, v: Array, u: Array) -> Array:
     """q(x; v; u, .): integrals of (div v) u phi_j."""
-    divergence = np.trace(space.gradient(x, v), axis1=-2, axis2=-1)
-    values = space.evaluate(u)
-    return space.load(x, (divergence.T * values.T).T)
+    return space.load(x, (divergence(space, x, v).T * space.evaluate(u).T).T)
 
 
 def rate_of_mass(space: SurfaceSpace, x: Array, v: Array, u: Array, rate: Array) -> Array:

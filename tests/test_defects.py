@@ -5,8 +5,14 @@ import pytest
 from scipy.linalg import solve
 
 import esfem_core as ec
-from esfem_core.defect_terms import temporal_terms_u, temporal_terms_v
+from esfem_core.defect_terms import (
+    Field,
+    spatial_terms_u,
+    temporal_terms_u,
+    temporal_terms_v,
+)
 from esfem_core.defects import defects, dual_norm, interpolant, spatial_defects
+from esfem_core.exact_surfaces import Ellipsoid
 from esfem_core.problem import Exact
 from esfem_core.study import observed_orders
 
@@ -134,3 +140,21 @@ def test_bad_input():
         temporal_terms_u(space, EXPANDING, 3, 0.1, 5)
     with pytest.raises(ValueError, match="exact solution"):
         defects(space, ec.Problem(u0=lambda x: x[:, 0]), 1, 0.1, 1)
+
+
+def test_the_spatial_terms_of_the_proof_add_up():
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+
+    def axis(t):
+        return np.sqrt(1 + 0.25 * np.sin(t))
+
+    field = Field(
+        surface=lambda t: Ellipsoid((axis(t), 1.0, 1.0)),
+        v=lambda x, t: x * [np.cos(t) / (8 * axis(t) ** 2), 0, 0],
+        f=lambda x, t: problem.f(None, None, x, t),
+    )
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere, exactness=10)
+    *terms, spurious = spatial_terms_u(space, problem, field, 0.6).values()
+    expected = spatial_defects(space, problem, 0.6).u
+    assert np.abs(sum(terms) - expected).max() < 1e-7
+    assert all(np.abs(r).max() > 2e-7 for r in [*terms, spurious])
