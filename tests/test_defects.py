@@ -64,6 +64,17 @@ def test_a_run_perturbed_by_the_defects_returns_the_exact_values(problem, order)
             assert max(e.v_l2, e.v_h1) < 1e-11
 
 
+def test_starting_values_are_not_perturbed():
+    space, seen = space_of(0), []
+
+    def perturbation(n):
+        seen.append(n)
+        return np.zeros(len(space.nodes)), np.zeros((1, 3)), np.zeros((1, 3))
+
+    list(ec.evolve(space, EXPANDING, 3, 0.1, 0.6, start="euler", perturbation=perturbation))
+    assert seen == [3, 4, 5, 6]
+
+
 def test_what_the_scheme_reproduces_has_no_defect():
     # u constant on a surface at rest, held there by g = beta H
     space = space_of(2)
