@@ -1,6 +1,16 @@
 """Evolving surface finite elements in space, backward difference formulas in time."""
 
-from esfem_core import bdf, errors, exact_surfaces, forms, multipliers, problems, study
+from esfem_core import (
+    bdf,
+    defects,
+    errors,
+    exact_surfaces,
+    forms,
+    multipliers,
+    peano,
+    problems,
+    study,
+)
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.flow import evolve
 from esfem_core.linear_solver import DirectSolver, LaggedSolver
@@ -20,11 +30,13 @@ __all__ = [
     "SurfaceSpace",
     "bdf",
     "check_triangulation",
+    "defects",
     "errors",
     "evolve",
     "exact_surfaces",
     "forms",
     "multipliers",
+    "peano",
     "problems",
     "sphere",
     "study",

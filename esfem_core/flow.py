@@ -1,7 +1,7 @@
 """Runs: arguments checked, starting values made, steps taken."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib.util import find_spec
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver, cholmod, superlu
 from esfem_core.problem import Problem
-from esfem_core.scheme import march
+from esfem_core.scheme import Perturbation, march
 from esfem_core.state import State
 from esfem_core.surface import SurfaceSpace
 
@@ -32,6 +32,7 @@ def evolve(
     start: str | Sequence[State] | None = None,
     solver: str = "lagged",
     allow_unstable: bool = False,
+    perturbation: Perturbation | None = None,
 ) -> Iterator[State]:
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
@@ -81,6 +82,10 @@ def evolve(
         (extra ``fast``). "direct": a sparse factorisation in every step.
     allow_unstable : bool
         Let p >= 7 run; these methods are not zero-stable.
+    perturbation : callable, optional
+        ``perturbation(n)`` returns nodal vectors (r_u, r_v, r_x), of the shapes of u, v and x, that
+        are added to the right-hand sides of (2.19), (2.20) and (2.21) in step n: the defects of
+        [N] (4.1), see :mod:`esfem_core.defects`. With a prescribed motion, r_u alone counts.
 
     Yields
     ------
@@ -124,7 +129,7 @@ def evolve(
     if not isinstance(start, str):
         _check_states(start, order, step, n_steps)
     steps = partial(march, space, problem, make_solver=_solver_factory(space, solver))
-    return _run(space, problem, order, step, n_steps, start, mass, steps)
+    return _run(space, problem, order, step, n_steps, start, mass, steps, perturbation)
 
 
 def _check_order(order: int, allow_unstable: bool) -> None:
@@ -178,7 +183,7 @@ def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
     return partial(LaggedSolver, factorise=factorise)
 
 
-March = Callable[[int, float, Sequence[State], Iterable[tuple[int, float]], str], Iterator[State]]
+March = Callable[..., Iterator[State]]
 
 
 def _run(
@@ -190,6 +195,7 @@ def _run(
     start: str | Sequence[State],
     mass: str,
     steps: March,
+    perturbation: Perturbation | None,
 ) -> Iterator[State]:
     if start == "exact":
         states = [_exact_state(space, problem, n * step) for n in range(order)]
@@ -200,7 +206,7 @@ def _run(
     yield from states
     last = round(states[-1].t / step)
     times = ((n, n * step) for n in range(last + 1, n_steps + 1))
-    yield from steps(order, step, states, times, mass)
+    yield from steps(order, step, states, times, mass, perturbation=perturbation)
 
 
 def _exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:

@@ -15,9 +15,10 @@ from esfem_core.problem import Problem
 from esfem_core.state import EvolutionError, State
 from esfem_core.surface import Assembly, SurfaceSpace
 
-__all__ = ["march"]
+__all__ = ["Perturbation", "march"]
 
 Array = NDArray[np.float64]
+Perturbation = Callable[[int], tuple[Array, Array, Array]]
 GUESS = 5  # values that a first guess is extrapolated from, if there are so many
 
 
@@ -31,6 +32,7 @@ def march(
     mass: str,
     *,
     make_solver: Callable[[], Solver],
+    perturbation: Perturbation | None = None,
 ) -> Iterator[State]:
     """Step from p states through the given (number, time) pairs."""
     d = delta(order)
@@ -46,6 +48,7 @@ def march(
     for n, t in times:
         with _naming_the_step(n, t):
             u_tilde, x_past = _extrapolate(us), _combine(d[1:], xs)
+            r_u, r_v, r_x = (None, None, None) if perturbation is None else perturbation(n)
             if problem.motion is not None:
                 x_tilde = x = np.array(problem.motion(space.nodes, t), dtype=float)
                 at = space.assemble(x_tilde, None if problem.f is None else u_tilde)
@@ -55,12 +58,17 @@ def march(
                 at = space.assemble(x_tilde, u_tilde)
                 normals = _turn(at.normals, normals)
                 guess = _extrapolate(last_vs) if last_vs else np.zeros_like(x_tilde)
-                v = _velocity(space, problem, v_solver, at, t, step / d[0], x_past / d[0], guess)
+                if r_x is not None:
+                    x_past = x_past - step * r_x
+                past = x_past / d[0]
+                v = _velocity(space, problem, v_solver, at, t, step / d[0], past, r_v, guess)
                 x = (step * v - x_past) / d[0]
             M = space.mass_stiffness(x)[0] if mass == "updated" else at.M
             b = -_combine(d[1:], Mus) / step
             if problem.f is not None:
                 b += space.load_with(at.density, _source(problem.f, "f", at, t))
+            if r_u is not None:
+                b += r_u
             guess = _extrapolate(last_us)
             u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, guess)
             if not (np.isfinite(u).all() and np.isfinite(x).all()):
@@ -92,9 +100,10 @@ def _velocity(
     t: float,
     tau: float,
     past: Array,
+    extra: Array | None,
     guess: Array,
 ) -> Array:
-    """Solve K v + beta A x = g for v, where x = tau v - past, on the surface `at`.
+    """Solve K v + beta A x = g + extra for v, where x = tau v - past, on the surface `at`.
 
     These are (2.20) and (2.21), with delta_0 divided out of tau and of the past values. One
     (N, N) matrix serves the three components. Solving for v and not for x avoids the division of
@@ -104,6 +113,8 @@ def _velocity(
     if problem.g is not None:
         g = _source(problem.g, "g", at, t)
         b += space.load_with(at.density, g[..., None] * at.normals)
+    if extra is not None:
+        b += extra
     return solver.solve(_sum(1.0, at.M, problem.alpha + problem.beta * tau, at.A), b, guess)
 
 

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import esfem_core as ec
+from esfem_core.triangulation import displaced
 
 
 @pytest.mark.parametrize("refinements", range(4))
@@ -155,3 +156,17 @@ def test_torus_is_closed_oriented_and_on_the_torus():
 def test_torus_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
         ec.torus(*arguments)
+
+
+def test_displaced_vertices_stay_on_the_surface_and_near():
+    tri = ec.sphere("icosahedron", 2)
+    moved = displaced(tri, 0.3, ec.to_unit_sphere, seed=4)
+    ec.check_triangulation(moved)
+    np.testing.assert_allclose(np.linalg.norm(moved.vertices, axis=1), 1, atol=1e-14)
+    assert np.abs(moved.vertices - tri.vertices).max() > 0.1 * tri.edges_unique_length.min()
+    again = displaced(tri, 0.3, ec.to_unit_sphere, seed=4)
+    assert np.array_equal(moved.vertices, again.vertices)
+    same = displaced(tri, 0.0, ec.to_unit_sphere)
+    np.testing.assert_allclose(same.vertices, tri.vertices, atol=1e-15)
+    with pytest.raises(ValueError, match=r"share must be from 0 to 0\.3, got 0\.5"):
+        displaced(tri, 0.5, ec.to_unit_sphere)
