@@ -81,6 +81,21 @@ def test_a_tetrahedron_is_left_alone():
     assert collapse(x, faces, np.ones(6), 100.0)[2] == 0
 
 
+def test_an_edge_that_exists_is_not_made_again():
+    """A flat tetrahedron whose long edge (0, 1) should be flipped to (2, 3), an edge already."""
+    corners = [[-5.0, 0, 0], [5, 0, 0], [0, 1, 1], [0, 1, -1], [-1.7, 1, 0], [1.7, 1, 0]]
+    x = np.array(corners)
+    two, others = [[0, 1, 2], [1, 0, 3]], [[0, 2, 4], [2, 3, 4], [3, 0, 4]]
+    mirrored = [[2, 1, 5], [3, 2, 5], [1, 3, 5]]
+    faces = np.array([*two, *others, *mirrored])
+    check(x, faces)
+    result = faces
+    for _ in range(5):
+        result, _ = flip(x, result)
+        check(x, result)
+    assert (angle_sums(x, faces) > np.pi).any()
+
+
 def test_splits_leave_no_long_edge():
     x, faces = disturbed()
     longest = 0.8 * edges_of(faces).lengths(x).max()
