@@ -13,8 +13,11 @@ from esfem_core import (
 )
 from esfem_core.assembly import DegenerateElementError
 from esfem_core.flow import evolve
+from esfem_core.level_set import project_to_level_set
 from esfem_core.linear_solver import DirectSolver, LaggedSolver
+from esfem_core.mesher import MeshingError, from_level_set
 from esfem_core.problem import Exact, Problem
+from esfem_core.quality import Quality, mesh_quality
 from esfem_core.state import EvolutionError, State
 from esfem_core.surface import SurfaceSpace
 from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere, torus
@@ -25,7 +28,9 @@ __all__ = [
     "EvolutionError",
     "Exact",
     "LaggedSolver",
+    "MeshingError",
     "Problem",
+    "Quality",
     "State",
     "SurfaceSpace",
     "bdf",
@@ -35,9 +40,12 @@ __all__ = [
     "evolve",
     "exact_surfaces",
     "forms",
+    "from_level_set",
+    "mesh_quality",
     "multipliers",
     "peano",
     "problems",
+    "project_to_level_set",
     "sphere",
     "study",
     "to_unit_sphere",
