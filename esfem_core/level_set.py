@@ -1,0 +1,161 @@
+"""Surfaces given as the zero set of a function, [N] (2.1), and their closest points, (2.2).
+
+The function d need not be a distance: a smooth one whose gradient does not vanish at its zeros
+will do. Where d > 0 is outside.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["central_gradient", "checked_values", "descend", "project_to_level_set"]
+
+Array = NDArray[np.float64]
+Field = Callable[[Array], Array]
+
+MAX_STEPS = 50
+ON_SURFACE = 1e-13  # accepted distance from the surface, relative to the coordinates
+CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
+DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
+
+
+def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
+    """Make the map that takes points near the surface {d = 0} to their closest points on it.
+
+    The closest point y of x has x - y normal to the surface ([N] (2.2)). From y on the surface,
+    x is projected to the tangent plane at y, and from there along the gradient of d to the
+    surface. This contracts by the curvature times the distance of x.
+
+    Parameters
+    ----------
+    d : callable
+        (n, 3) -> (n,), zero on the surface, positive outside.
+    gradient : callable, optional
+        (n, 3) -> (n, 3), its gradient; by central differences if None.
+
+    Returns
+    -------
+    callable
+        (n, 3) -> (n, 3), for :class:`esfem_core.SurfaceSpace` and
+        :class:`esfem_core.Exact`. Its points are on the surface to 1e-13 times the
+        largest coordinate and closest ones to 1e-11 times it. A ValueError tells of points from
+        which Newton's method does not get there, and of a gradient that vanishes.
+
+    Examples
+    --------
+    >>> project = project_to_level_set(lambda x: (x**2 / [4, 1, 1]).sum(axis=1) - 1)
+    >>> project(np.array([[2.1, 0.0, 0.0], [0.0, 0.0, 0.9]])).round(12)
+    array([[2., 0., 0.],
+           [0., 0., 1.]])
+    """
+    gradient = central_gradient(d) if gradient is None else gradient
+
+    def project(points: Array) -> Array:
+        x = np.asarray(points, dtype=float)
+        scale = _scale(x)
+        y = descend(d, gradient, x)
+        todo = np.arange(len(x))
+        for _ in range(MAX_STEPS):
+            g = checked_values(gradient, y[todo], (3,), "gradient")
+            n = g / np.linalg.norm(g, axis=1, keepdims=True)
+            off = x[todo] - y[todo]
+            tangential = off - (off * n).sum(axis=1, keepdims=True) * n
+            far = np.linalg.norm(tangential, axis=1) > CLOSEST * scale
+            todo, tangential = todo[far], tangential[far]
+            if len(todo) == 0:
+                return y
+            y[todo] = descend(d, gradient, y[todo] + tangential)
+        raise ValueError(
+            f"no closest point found for {x[todo[0]].tolist()} ({len(todo)} such points): it is "
+            "too far from the surface for its curvature"
+        )
+
+    return project
+
+
+def descend(d: Field, gradient: Field, points: Array) -> Array:
+    """Move points to {d = 0} along the gradient of d, by Newton's method.
+
+    Parameters
+    ----------
+    d, gradient : callable
+        (n, 3) -> (n,) and (n, 3) -> (n, 3).
+    points : (n, 3) float array
+
+    Returns
+    -------
+    (n, 3) float array
+
+    Raises
+    ------
+    ValueError
+        If the gradient vanishes or a point does not arrive.
+
+    Examples
+    --------
+    >>> p = descend(lambda x: (x**2).sum(axis=1) - 1, lambda x: 2 * x, np.array([[0.0, 0, 3]]))
+    >>> p.tolist()
+    [[0.0, 0.0, 1.0]]
+    """
+    x = np.array(points, dtype=float)
+    scale = _scale(x)
+    todo = np.arange(len(x))
+    for _ in range(MAX_STEPS):
+        value = checked_values(d, x[todo], (), "d")
+        g = checked_values(gradient, x[todo], (3,), "gradient")
+        square = (g * g).sum(axis=1)
+        if not (square > 0).all():
+            i = todo[np.argmin(square)]
+            raise ValueError(f"the gradient of d vanishes at {x[i].tolist()}")
+        step = -(value / square)[:, None] * g
+        x[todo] += step
+        todo = todo[np.linalg.norm(step, axis=1) > ON_SURFACE * scale]
+        if len(todo) == 0:
+            return x
+    raise ValueError(
+        f"Newton's method does not reach the surface from {np.asarray(points)[todo[0]].tolist()} "
+        f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
+        "vanishes on the surface"
+    )
+
+
+def central_gradient(d: Field) -> Field:
+    """Gradient of a function by central differences, with a relative error of about 1e-10.
+
+    Examples
+    --------
+    >>> central_gradient(lambda x: x[:, 0] * x[:, 2])(np.array([[1.0, 0, 2]])).round(8)
+    array([[2., 0., 1.]])
+    """
+
+    def gradient(points: Array) -> Array:
+        x = np.asarray(points, dtype=float)
+        h = DIFFERENCE * _scale(x)
+        steps = h * np.vstack([np.eye(3), -np.eye(3)])
+        values = checked_values(d, (x + steps[:, None]).reshape(-1, 3), (), "d").reshape(
+            2, 3, len(x)
+        )
+        result: Array = (values[0] - values[1]).T / (2 * h)
+        return result
+
+    return gradient
+
+
+def _scale(x: Array) -> float:
+    return float(np.abs(x).max(initial=0)) or 1.0
+
+
+def checked_values(function: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
+    """Values of a user's function, refused unless they are finite and of the right shape."""
+    values = np.asarray(function(x), dtype=float)
+    if values.shape != (len(x), *shape):
+        raise ValueError(
+            f"{name} must return an array of shape {(len(x), *shape)} for {len(x)} points, "
+            f"got {values.shape}"
+        )
+    bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise ValueError(f"{name} is {values[i].tolist()} at {x[i].tolist()}")
+    return values

@@ -1,0 +1,34 @@
+"""Shapes of known triangles."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import esfem_core as ec
+
+
+def test_octahedron():
+    q = ec.mesh_quality(ec.sphere("octahedron", 0))
+    assert (q.vertices, q.triangles, q.euler) == (6, 8, 2)
+    assert [q.min_angle, q.max_angle] == pytest.approx([60, 60])
+    assert [q.mean_ratio, q.min_ratio, q.uniformity] == pytest.approx([1, 1, 1])
+    assert [q.h_min, q.h_mean, q.h_max] == pytest.approx([np.sqrt(2)] * 3)
+
+
+def test_against_trimesh_and_the_radii():
+    tri = trimesh.creation.torus(2.0, 0.5)
+    q = ec.mesh_quality(tri)
+    assert q.euler == tri.euler_number == 0
+    assert q.min_angle == pytest.approx(np.degrees(tri.face_angles.min()))
+    assert q.max_angle == pytest.approx(np.degrees(tri.face_angles.max()))
+    a, b, c = np.linalg.norm(np.diff(tri.triangles[:, [0, 1, 2, 0]], axis=1), axis=2).T
+    r_in, r_out = 2 * tri.area_faces / (a + b + c), a * b * c / (4 * tri.area_faces)
+    assert q.min_ratio == pytest.approx((2 * r_in / r_out).min())
+    assert q.mean_ratio == pytest.approx((2 * r_in / r_out).mean())
+    assert q.h_max == pytest.approx(tri.edges_unique_length.max())
+
+
+def test_display():
+    q = ec.mesh_quality(ec.sphere("icosahedron", 2))
+    assert "smallest angle: 54." in str(q)
+    assert "<td>Euler number</td><td>2</td>" in q._repr_html_()
