@@ -4,11 +4,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from esfem_core import errors, problems
 from esfem_core.campaign import Experiment
 from esfem_core.errors import Errors
 from esfem_core.flow import evolve
+from esfem_core.mesher import from_level_set
 from esfem_core.state import EvolutionError
 from esfem_core.study import final
 from esfem_core.surface import SurfaceSpace
@@ -26,7 +28,9 @@ def make_space(mesh: str, refinements: int, degree: int, angle: float = 0.0) -> 
 
     Parameters
     ----------
-    mesh : {"octahedron", "icosahedron"}
+    mesh : {"octahedron", "icosahedron", "distance"}
+        A refined solid, or a mesh of the distance function (:func:`esfem_core.from_level_set`)
+        with edges of length 0.6/2^refinements.
     refinements, degree : int
     angle : float
         In radians. Edges of the octahedron lie on the coordinate planes if it is zero.
@@ -41,11 +45,18 @@ def make_space(mesh: str, refinements: int, degree: int, angle: float = 0.0) -> 
     >>> len(space.nodes), bool(abs(space.nodes[0, 0] - 1) > 0.1)
     (66, True)
     """
-    tri = sphere(mesh, refinements)
+    if mesh == "distance":
+        tri = from_level_set(_distance, [[-1.3] * 3, [1.3] * 3], 0.6 / 2**refinements)
+    else:
+        tri = sphere(mesh, refinements)
     if angle:
         turn = trimesh.transformations.rotation_matrix(angle, AXIS)[:3, :3]
         tri = trimesh.Trimesh(tri.vertices @ turn.T, tri.faces, process=False)
     return SurfaceSpace(tri, degree, to_unit_sphere)
+
+
+def _distance(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(x, axis=1)) - 1
 
 
 def run(
@@ -212,11 +223,13 @@ FIGURES_1_3 = [
     _cases([("octahedron", 6)], _doubling(10, 320), degree=2, order=3, coupling="smooth"),
     _cases([("octahedron", 5)], _doubling(10, 320), degree=2, order=3, coupling="printed"),
     _cases([("icosahedron", 4)], _doubling(10, 320), degree=2, order=3, coupling="smooth"),
+    _cases([("distance", 3)], _doubling(10, 320), degree=2, order=3, coupling="smooth"),
 ]
 
 FIGURES_2_4 = [
     _cases(_meshes("octahedron", range(1, 7)), [240], degree=2, order=5, coupling="smooth"),
     _cases(_meshes("icosahedron", range(5)), [240], degree=2, order=5, coupling="smooth"),
+    _cases(_meshes("distance", range(4)), [240], degree=2, order=5, coupling="smooth"),
     _cases(_meshes("octahedron", range(1, 6)), [640], degree=2, order=3, coupling="smooth"),
     _cases(_meshes("octahedron", range(1, 6)), [640], degree=2, order=3, coupling="printed"),
 ]
@@ -268,6 +281,7 @@ COUPLING = [
         ("octahedron", range(6), "printed", [0.0, 1e-9, 1e-6, 1e-3]),
         ("octahedron", range(3, 6), "printed", [0.01, 0.1, 0.3, 1.0]),
         ("icosahedron", range(2, 5), "printed", [0.0, 0.1, 0.3, 1.0]),
+        ("distance", range(2, 4), "printed", [0.0]),
         ("octahedron", range(6), "smooth", [0.0, 0.3]),
         ("icosahedron", range(5), "smooth", [0.0, 0.3]),
     )
