@@ -1,10 +1,13 @@
 """The papers' experiments at the papers' own resolution: ``python -m esfem_core.experiments``."""
 
 from esfem_core.campaign import Experiment
-from esfem_core.experiments.baseball_bat import BAT_EXPERIMENTS
-from esfem_core.experiments.theorem import THEOREM
+from esfem_core.experiments import (
+    baseball_bat,
+    ellipsoid,
+    expanding_sphere,
+    mass_matrices,
+    mass_runtime,
+    theorem,
+)
 
 __all__ = ["EXPERIMENTS"]
-
-EXPERIMENTS: list[Experiment] = [THEOREM, *BAT_EXPERIMENTS]
-"""All of them, in the order of the book."""
