@@ -1,17 +1,18 @@
 """Norms on discrete surfaces, and errors against an exact solution."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.problem import Problem
+from esfem_core.lift import squared_differences
+from esfem_core.problem import Exact, Problem
 from esfem_core.state import State
 from esfem_core.surface import SurfaceSpace
 
-__all__ = ["Errors", "compare", "difference", "seminorm", "time_norms"]
+__all__ = ["Errors", "Measure", "compare", "difference", "lifted", "seminorm", "time_norms"]
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,10 @@ class Errors(NamedTuple):
     v_h1: float
     u_l2: float
     u_h1: float
+
+
+Measure = Callable[[SurfaceSpace, Problem, State], Errors]
+"""How far a state is from the exact solution: :func:`compare` or :func:`lifted`."""
 
 
 def seminorm(matrix: csr_array, w: Array) -> float:
@@ -93,12 +98,79 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     >>> print(f"{ec.errors.compare(space, problem, last).x_l2:.1e}")
     9.8e-06
     """
-    exact = problem.exact
-    if exact is None:
-        raise ValueError("the problem has no exact solution to compare with")
+    exact = _exact(problem)
     x = np.asarray(exact.x(space.nodes, state.t))
     v = None if state.v is None else exact.v(space.nodes, state.t)
     return difference(space, state, State(state.t, x, v, exact.u(x, state.t)))
+
+
+def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
+    """Errors on the exact surface Γ(t), those of [N] Theorem 2.1.
+
+    The nodal vectors x, v, u are taken as functions on Γ_h[x_*] ([N] (2.23)), with the exact nodes
+    x_*, lifted to Γ(t), and compared there with the identity, the velocity and the solution:
+    ``||x^L - id||``, ``||v^L - v||``, ``||u^L - u||`` in L2(Γ(t)) and with tangential gradients.
+    Other than :func:`compare` this counts the error of interpolation.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution that has closest points and origins
+        (:class:`esfem_core.Exact`): the spheres and the ellipsoid in :mod:`esfem_core.problems`
+        do.
+    state : State
+
+    Returns
+    -------
+    Errors
+        Those of the velocity are NaN where ``state.v`` is None.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no exact solution or the solution no closest points and origins.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> problem = ec.problems.expanding_sphere()
+    >>> for refinements in (2, 3):
+    ...     space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), 2, ec.to_unit_sphere)
+    ...     x = problem.exact.x(space.nodes, 0.5)
+    ...     exact = ec.State(0.5, x, None, problem.exact.u(x, 0.5))
+    ...     e = ec.errors.lifted(space, problem, exact)
+    ...     print(f"interpolation error of u: {e.u_l2:.1e} {e.u_h1:.1e}")
+    interpolation error of u: 2.0e-02 1.9e-01
+    interpolation error of u: 2.6e-03 5.1e-02
+    """
+    exact, t = _exact(problem), state.t
+    closest, origin = exact.closest, exact.origin
+    if closest is None or origin is None:
+        raise ValueError(
+            "lifted errors need closest points and origins: Exact(x, v, u, closest, origin)"
+        )
+    v = np.zeros_like(state.x) if state.v is None else state.v
+
+    def solution(y: Array) -> Array:
+        u = np.asarray(exact.u(y, t)).reshape(len(y), -1)
+        return np.hstack([y, exact.v(origin(y, t), t), u])
+
+    x = np.asarray(exact.x(space.nodes, t))
+    w = np.hstack([state.x, v, state.u.reshape(len(x), -1)])
+    squares = squared_differences(space, x, lambda y: closest(y, t), w, solution)
+    l2, h1 = ([np.sqrt(part.sum()) for part in np.split(s, [3, 6])] for s in squares)
+    if state.v is None:
+        l2[1] = h1[1] = np.nan
+    x_l2, v_l2, u_l2 = map(float, l2)
+    x_h1, v_h1, u_h1 = map(float, h1)
+    return Errors(x_l2, x_h1, v_l2, v_h1, u_l2, u_h1)
+
+
+def _exact(problem: Problem) -> Exact:
+    if problem.exact is None:
+        raise ValueError("the problem has no exact solution to compare with")
+    return problem.exact
 
 
 def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
@@ -150,7 +222,11 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
 
 
 def time_norms(
-    space: SurfaceSpace, problem: Problem, states: Iterable[State], window: tuple[float, float]
+    space: SurfaceSpace,
+    problem: Problem,
+    states: Iterable[State],
+    window: tuple[float, float],
+    measure: Measure = compare,
 ) -> tuple[float, float]:
     """Errors of u over a run, in the norms of [LMV] Theorem 5.2.
 
@@ -161,11 +237,13 @@ def time_norms(
         A run with constant step tau, as :func:`esfem_core.evolve` yields it; none is kept.
     window : (float, float)
         Times t_n to count, both ends included (to 1e-9), starting states excluded.
+    measure : callable, optional
+        :func:`compare` or :func:`lifted`.
 
     Returns
     -------
     (float, float)
-        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of :func:`compare`.
+        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of `measure`.
 
     Raises
     ------
@@ -185,7 +263,7 @@ def time_norms(
     for state in states:
         times.append(state.t)
         if state.v is not None and window[0] - 1e-9 <= state.t <= window[1] + 1e-9:
-            errors.append(compare(space, problem, state))
+            errors.append(measure(space, problem, state))
     if not errors:
         raise ValueError(f"no step after the starting states lies in the window {window}")
     tau = (times[-1] - times[0]) / (len(times) - 1)

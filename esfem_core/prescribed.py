@@ -102,7 +102,13 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
         u0=lambda x: exact_u(x, 0.0),
         f=f,
         motion=position,
-        exact=Exact(position, velocity, exact_u),
+        exact=Exact(
+            position,
+            velocity,
+            exact_u,
+            lambda x, t: _closest_on_spheroid(x, a(t)),
+            lambda x, t: x / [np.sqrt(a(t)), 1, 1],
+        ),
     )
 
 

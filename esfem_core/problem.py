@@ -24,11 +24,19 @@ class Exact(NamedTuple):
         v(p, t): velocities, (n, 3), of the same points.
     u : callable
         u(x, t): values (n,) or (n, m) at points x, (n, 3), of the surface at time t.
+    closest : callable, optional
+        p(x, t): closest points, (n, 3), on the surface at time t, of points x, (n, 3), near it
+        ([N] (2.2)). This and `origin` are needed for lifted errors only.
+    origin : callable, optional
+        The inverse of X: points p of the initial surface, (n, 3), with X(p, t) = x, for points x,
+        (n, 3), of the surface at time t.
     """
 
     x: Callable[[Array, float], Array]
     v: Callable[[Array, float], Array]
     u: Callable[[Array, float], Array]
+    closest: Callable[[Array, float], Array] | None = None
+    origin: Callable[[Array, float], Array] | None = None
 
 
 @dataclass(frozen=True)

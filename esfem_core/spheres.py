@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
 from esfem_core.problem import Array, Exact, Problem, Source
+from esfem_core.triangulation import to_unit_sphere
 
 __all__ = ["expanding_sphere", "growing_sphere", "shrinking_sphere"]
 
@@ -72,7 +73,7 @@ def expanding_sphere(coupling: str = "smooth", alpha: float = 1.0, beta: float =
         g=couplings[coupling],
         alpha=alpha,
         beta=beta,
-        exact=Exact(lambda p, t: r(t) * p, lambda p, t: dr(t) * p, exact_u),
+        exact=_exact_sphere(r, dr, exact_u),
     )
 
 
@@ -171,9 +172,24 @@ def _sphere_problem(
         g=g,
         alpha=alpha,
         beta=beta,
-        exact=Exact(
-            lambda p, t: radius(t) * p,
-            lambda p, t: speed(radius(t)) * p,
+        exact=_exact_sphere(
+            radius,
+            lambda t: speed(radius(t)),
             lambda x, t: np.full(x.shape[:-1], u0 / radius(t) ** 2),
         ),
+    )
+
+
+def _exact_sphere(
+    radius: Callable[[float], float],
+    speed: Callable[[float], float],
+    u: Callable[[Array, float], Array],
+) -> Exact:
+    """The solution u on a sphere of radius r(t) that moves along its normals with r'(t)."""
+    return Exact(
+        lambda p, t: radius(t) * p,
+        lambda p, t: speed(t) * p,
+        u,
+        lambda x, t: radius(t) * to_unit_sphere(x),
+        lambda x, t: to_unit_sphere(x),
     )

@@ -109,6 +109,7 @@ def time_study(
     steps: Sequence[float],
     end: float,
     reference: State | None = None,
+    measure: errors.Measure = errors.compare,
     **options: Any,
 ) -> ConvergenceTable:
     """Errors at the end for several step sizes.
@@ -123,7 +124,10 @@ def time_study(
     end : float
     reference : State, optional
         Solution to compare with on the same space (see :func:`esfem_core.errors.difference`);
-        the exact solution's nodal interpolant if None.
+        the exact solution if None.
+    measure : callable, optional
+        How to compare with the exact solution: :func:`esfem_core.errors.compare`, at the nodes,
+        or :func:`esfem_core.errors.lifted`, on the exact surface.
     **options
         Passed to :func:`esfem_core.evolve`.
 
@@ -147,7 +151,7 @@ def time_study(
     for step in steps:
         last = final(evolve(space, problem, order, step, end, **options))
         if reference is None:
-            rows.append(errors.compare(space, problem, last))
+            rows.append(measure(space, problem, last))
         else:
             rows.append(errors.difference(space, last, reference))
     return _table("tau", steps, rows)
@@ -159,9 +163,10 @@ def space_study(
     order: int,
     step: float,
     end: float,
+    measure: errors.Measure = errors.compare,
     **options: Any,
 ) -> ConvergenceTable:
-    """Errors at the end for several meshes, against the exact solution's nodal interpolant.
+    """Errors at the end for several meshes, against the exact solution.
 
     Parameters
     ----------
@@ -170,6 +175,8 @@ def space_study(
         With an exact solution.
     order : int
     step, end : float
+    measure : callable, optional
+        As for :func:`time_study`.
     **options
         Passed to :func:`esfem_core.evolve`.
 
@@ -179,7 +186,7 @@ def space_study(
         Sizes are those of the initial meshes.
     """
     rows = [
-        errors.compare(space, problem, final(evolve(space, problem, order, step, end, **options)))
+        measure(space, problem, final(evolve(space, problem, order, step, end, **options)))
         for space in spaces
     ]
     return _table("h", [space.mesh_size(space.nodes) for space in spaces], rows)
