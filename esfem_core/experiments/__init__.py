@@ -1,8 +1,12 @@
 """The papers' experiments at the papers' own resolution: ``python -m esfem_core.experiments``."""
 
 from esfem_core.campaign import Experiment
+from esfem_core.experiments import mass_matrices, mass_runtime
 
 __all__ = ["EXPERIMENTS"]
 
-EXPERIMENTS: list[Experiment] = []
+EXPERIMENTS: list[Experiment] = [
+    *mass_matrices.EXPERIMENTS,
+    *mass_runtime.EXPERIMENTS,
+]
 """All of them, in the order of the book."""
