@@ -51,12 +51,19 @@ def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> 
         (:func:`esfem_core.errors.lifted`). Errors of the other two mass terms have the suffixes
         "_reassembled" and "_updated".
 
+    Raises
+    ------
+    ValueError
+        If `steps_per_unit` is odd.
+
     Examples
     --------
     >>> row = compare_masses(refinements=1, steps_per_unit=80)
     >>> print(f"{row['difference'][0] / row['size'][0] * 80**2:.0f}")
-    13
+    12
     """
+    if steps_per_unit % 2:
+        raise ValueError(f"steps_per_unit must be even, to meet t = 1/2, got {steps_per_unit}")
     space = SurfaceSpace(sphere("octahedron", refinements), 2, to_unit_sphere)
     problem = expanding_sphere("smooth")
     assert problem.exact is not None
@@ -157,6 +164,11 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
         distances, and "<mass>_u_h1"; where f = 0 also "<mass>_amount", the relative change of the
         integral of u over Γ_h[x^n] from begin to end.
 
+    Raises
+    ------
+    ValueError
+        If there is no such surface, or a number of steps does not divide `fine`.
+
     Examples
     --------
     >>> row = orders(surface="ellipsoid", order=2, steps_per_unit=[40, 80], fine=320)
@@ -164,6 +176,10 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
     ...     row["extrapolated_u"], row["reassembled_u"]))))
     4.0 2.0
     """
+    if surface not in SURFACES:
+        raise ValueError(f"surface must be one of {sorted(SURFACES)}, got {surface!r}")
+    if any(fine % n for n in steps_per_unit):
+        raise ValueError(f"steps_per_unit must divide fine = {fine}, got {list(steps_per_unit)}")
     make_problem, make_space, begin, end = SURFACES[surface]
     problem, space = make_problem(), make_space()
     past = evolve(space, problem, 5, 1 / fine, end, start="euler", solver="direct")
