@@ -107,13 +107,14 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
 
 
 def provenance(rows: Sequence[Row]) -> str:
-    """Say in one line where rows come from, for the caption of a figure.
+    """Say in two lines where rows come from, to stand beside a figure.
 
     Examples
     --------
     >>> here = {"machine": "Abacus", "date": "2026-01-31", "esfem_core": "0.1.0, source 0123"}
     >>> print(provenance([Row({}, {}, {"seconds": s, **here}) for s in (40.0, 80.0)]))
-    2 runs, 2.0 minutes in all, on Abacus; 2026-01-31, esfem_core 0.1.0, source 0123
+    2 runs, 2.0 minutes in all, on Abacus,
+    2026-01-31, esfem_core 0.1.0, source 0123
 
     Raises
     ------
@@ -128,7 +129,7 @@ def provenance(rows: Sequence[Row]) -> str:
         return " and ".join(sorted({row.provenance[name] for row in rows}))
 
     return (
-        f"{len(rows)} runs, {minutes:.1f} minutes in all, on {values('machine')}; "
+        f"{len(rows)} runs, {minutes:.1f} minutes in all, on {values('machine')},\n"
         f"{values('date')}, esfem_core {values('esfem_core')}"
     )
 

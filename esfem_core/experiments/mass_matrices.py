@@ -172,9 +172,11 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
     Examples
     --------
     >>> row = orders(surface="ellipsoid", order=2, steps_per_unit=[40, 80], fine=320)
-    >>> print("{:.1f} {:.1f}".format(*(a[0] / a[1] for a in (
-    ...     row["extrapolated_u"], row["reassembled_u"]))))
-    4.0 2.0
+    >>> for mass in ("updated", "reassembled"):
+    ...     coarse, fine = row[f"{mass}_u"]
+    ...     print(f"{mass}: {coarse / fine:.1f}")
+    updated: 4.0
+    reassembled: 2.0
     """
     if surface not in SURFACES:
         raise ValueError(f"surface must be one of {sorted(SURFACES)}, got {surface!r}")
