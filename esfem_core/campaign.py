@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-__all__ = ["Experiment", "Row", "case", "read", "run", "select"]
+__all__ = ["Experiment", "Row", "case", "provenance", "read", "run", "select"]
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -104,6 +104,34 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     """
     wanted = parameters.items()
     return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
+
+
+def provenance(rows: Sequence[Row]) -> str:
+    """Say in two lines where rows come from, to stand beside a figure.
+
+    Examples
+    --------
+    >>> here = {"machine": "Abacus", "date": "2026-01-31", "esfem_core": "0.1.0, source 0123"}
+    >>> print(provenance([Row({}, {}, {"seconds": s, **here}) for s in (40.0, 80.0)]))
+    2 runs, 2.0 minutes in all, on Abacus,
+    2026-01-31, esfem_core 0.1.0, source 0123
+
+    Raises
+    ------
+    ValueError
+        If there are no rows.
+    """
+    if not rows:
+        raise ValueError("there are no rows: the experiment has not been run yet")
+    minutes = sum(row.provenance["seconds"] for row in rows) / 60
+
+    def values(name: str) -> str:
+        return " and ".join(sorted({row.provenance[name] for row in rows}))
+
+    return (
+        f"{len(rows)} runs, {minutes:.1f} minutes in all, on {values('machine')},\n"
+        f"{values('date')}, esfem_core {values('esfem_core')}"
+    )
 
 
 def case(experiment: Experiment, parameters: Parameters) -> Row:

@@ -73,3 +73,15 @@ def test_bad_input(tmp_path):
     with pytest.raises(ValueError, match=r"demo\.jsonl is not a file of results"):
         campaign.read(path)
     assert campaign.read(tmp_path / "missing.jsonl") == []
+    with pytest.raises(ValueError, match="there are no rows"):
+        campaign.provenance([])
+
+
+def test_provenance_names_every_machine(tmp_path):
+    experiment = Experiment("demo", "", compute, chains([1]))
+    list(campaign.run([experiment], tmp_path, jobs=1))
+    rows = campaign.read(tmp_path / "demo.jsonl")
+    other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "Abacus"})
+    text = campaign.provenance([*rows, other])
+    assert text.startswith("6 runs, 0.0 minutes in all, on Abacus and ")
+    assert rows[0].provenance["machine"] in text

@@ -11,3 +11,12 @@ from esfem_core.experiments import (
 )
 
 __all__ = ["EXPERIMENTS"]
+from esfem_core.experiments import mass_matrices, mass_runtime
+
+__all__ = ["EXPERIMENTS"]
+
+EXPERIMENTS: list[Experiment] = [
+    *mass_matrices.EXPERIMENTS,
+    *mass_runtime.EXPERIMENTS,
+]
+"""All of them, in the order of the book."""
