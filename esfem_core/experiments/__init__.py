@@ -11,11 +11,12 @@ from esfem_core.experiments import (
 )
 
 __all__ = ["EXPERIMENTS"]
-from esfem_core.experiments import mass_matrices, mass_runtime
-
-__all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: list[Experiment] = [
+    *theorem.EXPERIMENTS,
+    *ellipsoid.EXPERIMENTS,
+    *baseball_bat.EXPERIMENTS,
+    *expanding_sphere.EXPERIMENTS,
     *mass_matrices.EXPERIMENTS,
     *mass_runtime.EXPERIMENTS,
 ]

@@ -18,7 +18,7 @@ from esfem_core.revolution import cosine_mode
 from esfem_core.study import final
 
 __all__ = [
-    "BAT_EXPERIMENTS",
+    "EXPERIMENTS",
     "bat_space",
     "exact",
     "figure_4",
@@ -272,7 +272,7 @@ def run_times(
 _STEPS = [1 / 20, 1 / 40, 1 / 80, 1 / 160]
 _KEEP = [0.05, 0.1, 0.15, 0.2, 0.6, 1.0]
 
-BAT_EXPERIMENTS = [
+EXPERIMENTS = [
     Experiment(
         "lmv_figure_4",
         "[LMV] Figure 4, baseball bat: distances from BDF1 with small steps",

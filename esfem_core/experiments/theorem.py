@@ -8,7 +8,7 @@ from esfem_core.defects import interpolant, values_of
 from esfem_core.errors import seminorm
 from esfem_core.triangulation import displaced
 
-__all__ = ["THEOREM", "errors_of_a_run"]
+__all__ = ["EXPERIMENTS", "errors_of_a_run"]
 
 
 def errors_of_a_run(
@@ -47,16 +47,18 @@ def errors_of_a_run(
     return {"h": space.mesh_size(space.nodes), **names}
 
 
-THEOREM = Experiment(
-    name="nick_theorem",
-    title="[N] Theorem 2.1: errors over a grid of mesh and step sizes",
-    compute=errors_of_a_run,
-    chains=[
-        [
-            {"order": order, "degree": 2, "refinements": refinements, "step": 1 / n}
-            for n in (10, 20, 40, 80, 160, 320)
-        ]
-        for refinements in (1, 2, 3, 4)
-        for order in (2, 3, 4)
-    ],
-)
+EXPERIMENTS = [
+    Experiment(
+        name="nick_theorem",
+        title="[N] Theorem 2.1: errors over a grid of mesh and step sizes",
+        compute=errors_of_a_run,
+        chains=[
+            [
+                {"order": order, "degree": 2, "refinements": refinements, "step": 1 / n}
+                for n in (10, 20, 40, 80, 160, 320)
+            ]
+            for refinements in (1, 2, 3, 4)
+            for order in (2, 3, 4)
+        ],
+    )
+]
