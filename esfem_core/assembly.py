@@ -11,7 +11,8 @@ integral is then (products of basis functions at the quadrature points) @ (metri
 small matrix product for many elements. Arrays here have the elements last.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -174,6 +175,9 @@ def _sums(order: NDArray[np.int64], starts: NDArray[np.int64]) -> csr_array:
 class SparsePattern:
     """Where the element entries go in a symmetric (N, N) CSR matrix; made once per space.
 
+    The entries of a chunk of elements are summed while they are in the cache. Those sums that no
+    other chunk adds to stand together, chunk by chunk; the others follow at the end.
+
     Parameters
     ----------
     cells : (T, n) int array
@@ -181,39 +185,72 @@ class SparsePattern:
         Local index pairs a <= b.
     n_nodes : int
         N.
+    slices : sequence of slice
+        The chunks.
     """
 
-    def __init__(self, cells: NDArray[np.int64], pairs: NDArray[np.int64], n_nodes: int) -> None:
+    def __init__(
+        self,
+        cells: NDArray[np.int64],
+        pairs: NDArray[np.int64],
+        n_nodes: int,
+        slices: Sequence[slice],
+    ) -> None:
         a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
-        keys = (np.minimum(a, b).astype(np.int64) * n_nodes + np.maximum(a, b)).ravel()
-        order = np.argsort(keys, kind="stable")
-        keys = keys[order]
-        starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-        rows, columns = np.divmod(keys[starts], n_nodes)
-        n_half = len(starts)
-        # Entry h of the upper triangle is the sum of the element entries order[starts[h]:...].
-        self._gather = _sums(order, starts)
+        keys, inverse, counts = np.unique(
+            np.minimum(a, b) * n_nodes + np.maximum(a, b), return_inverse=True, return_counts=True
+        )
+        sums = inverse.reshape(a.shape)  # which entry of the upper triangle each adds to
+        first, last = np.full(len(keys), len(slices)), np.full(len(keys), -1)
+        for i, c in enumerate(slices):
+            first[sums[:, c]] = np.minimum(first[sums[:, c]], i)
+            last[sums[:, c]] = i
+        chunk = np.where(first == last, first, len(slices))
+        place = np.argsort(np.lexsort((counts, chunk)))
+        self._shared = int(np.count_nonzero(first == last))  # places from here on are shared
+        self._parts = [self._part(place[sums[:, c]]) for c in slices]
+
+        rows, columns = np.divmod(keys, n_nodes)
         off = rows != columns
-        half = np.arange(n_half)
-        full = csr_array(
+        # Its data, of the type that take wants, tell which sum each entry is.
+        self.pattern = csr_array(
             (
-                np.r_[half, half[off]],
+                np.r_[place, place[off]],
                 (np.r_[rows, columns[off]], np.r_[columns, rows[off]]),
             ),
             shape=(n_nodes, n_nodes),
         )
-        full.sort_indices()
-        self._mirror = full.data.astype(np.int32)
-        self.indices = full.indices.astype(np.int32)
-        self.indptr = full.indptr.astype(np.int32)
-        self.shape = full.shape
+        self.pattern.sort_indices()
+        self.pattern.indices = self.pattern.indices.astype(np.int32)
+        self.pattern.indptr = self.pattern.indptr.astype(np.int32)
+        self._n_sums = len(keys)
 
-    def matrix(self, entries: Array) -> csr_array:
-        """Sum element entries (P, T) into a new CSR matrix."""
-        data = (self._gather @ entries.ravel()).take(self._mirror)
-        matrix = csr_array((data, self.indices, self.indptr), shape=self.shape)
-        matrix.has_canonical_format = True
-        return matrix
+    def _part(self, places: NDArray[np.int64]) -> tuple[csr_array, slice, NDArray[np.int64]]:
+        """What sums the entries of a chunk, and the places of its own and of the shared sums."""
+        order = np.argsort(places, axis=None, kind="stable")
+        used, starts = np.unique(places.ravel()[order], return_index=True)
+        own, shared = np.split(used, [np.searchsorted(used, self._shared)])
+        return _sums(order, starts), slice(own[0], own[-1] + 1) if len(own) else slice(0), shared
+
+    def matrices(self, chunks: Iterable[tuple[Array, Array]]) -> tuple[csr_array, csr_array]:
+        """Sum the element entries of two matrices, (P, C) each for every chunk, into CSR."""
+        sums = np.empty((2, self._n_sums))
+        sums[:, self._shared :] = 0.0
+        for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
+            n_own = own.stop - (own.start or 0)
+            for out, values in zip(sums, entries, strict=True):
+                chunk_sums = gather @ values.ravel()
+                out[own] = chunk_sums[:n_own]
+                out[shared] += chunk_sums[n_own:]
+        M, A = (with_data(self.pattern, out.take(self.pattern.data)) for out in sums)
+        return M, A
+
+
+def with_data(pattern: csr_array, data: Array) -> csr_array:
+    """Return a matrix with the pattern of another, without the checks that making one costs."""
+    matrix = copy(pattern)
+    matrix.data = data
+    return matrix
 
 
 class NodalSum:

@@ -177,10 +177,12 @@ def _check_states(start: Sequence[State], order: int, step: float, n_steps: int)
 
 
 def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
-    factorise = partial(cholmod if solver == "cholmod" else superlu, order=space.elimination_order)
-    if solver == "direct":
-        return partial(DirectSolver, factorise)
-    return partial(LaggedSolver, factorise=factorise)
+    if solver == "lagged":
+        return partial(LaggedSolver, factorise=space.fronts.factorise)
+    order = space.elimination_order
+    if solver == "cholmod":
+        return partial(LaggedSolver, factorise=partial(cholmod, order=order))
+    return partial(DirectSolver, partial(superlu, order=order))
 
 
 March = Callable[..., Iterator[State]]

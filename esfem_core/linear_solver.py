@@ -7,6 +7,7 @@ function from a matrix to something that solves with it.
 """
 
 from collections.abc import Callable
+from math import ceil
 from typing import Protocol
 
 import numpy as np
@@ -135,9 +136,11 @@ class LaggedSolver:
         The Euclidean norm of each column's residual is brought below ``rtol`` times that of its
         right-hand side (or to rounding level, whichever is larger), and the sum of its entries to
         zero: a finite element solution then has its exact integral.
-    patience : int
-        The matrix at hand is factorised anew as soon as a solve has taken more iterations than
-        this, so that a factorisation is worth its price.
+    price : int
+        What a factorisation costs, in iterations; no solve takes more. It is made anew when the
+        iterations that its age has cost add up to that: where they grow linearly from solve to
+        solve, this makes the total cost least. The first solve with it tells what a solve takes
+        while it is new.
     factorise : callable
         From a matrix to its :class:`Factor`.
 
@@ -161,17 +164,19 @@ class LaggedSolver:
     def __init__(
         self,
         rtol: float = 1e-11,
-        patience: int = 12,
+        price: int = 30,
         factorise: Callable[[csr_array], Factor] = superlu,
     ) -> None:
         if not 0 < rtol < 1:
             raise ValueError(f"rtol must lie in (0, 1), got {rtol!r}")
-        if patience < 1:
-            raise ValueError(f"patience must be at least 1, got {patience!r}")
-        self.rtol, self.patience = rtol, patience
+        if price < 1:
+            raise ValueError(f"price must be at least 1, got {price!r}")
+        self.rtol, self.price = rtol, price
         self.iterations = self.factorisations = 0
         self._factorise = factorise
         self._factor: Factor | None = None
+        self._lost = 0  # iterations that its age has cost
+        self._rate: float | None = None  # how much an iteration achieved while it was new
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b for symmetric positive definite A.
@@ -196,20 +201,19 @@ class LaggedSolver:
         # Right-hand sides as contiguous rows: NumPy is slow on many short rows.
         rows, x = _rows(b), _rows(guess).copy()
         with np.errstate(over="ignore"):
-            squares = _dots(rows, rows)
+            squares = np.vecdot(rows, rows)
         if not np.isfinite(squares).all():
             raise FloatingPointError("the right-hand side of a linear system is not finite")
         x[squares == 0] = 0.0
-        done = False
-        if self._factor is not None:
-            done = self._conjugate_gradients(A, rows, x, squares)
-        if not done:
-            self._factor = self._factorise(A)
+        if self._lost >= self.price:
+            self._factor = None
+        if self._factor is None or not self._conjugate_gradients(A, rows, x, squares):
+            self._factor, self._lost, self._rate = self._factorise(A), 0, None
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
             if not self._conjugate_gradients(A, rows, x, squares):
                 raise np.linalg.LinAlgError(
-                    f"no solution to a relative residual of {self.rtol:g} in {self.patience} "
+                    f"no solution to a relative residual of {self.rtol:g} in {self.price} "
                     "iterations: the matrix is singular, indefinite or not finite"
                 )
         return np.ascontiguousarray(x.T).reshape(b.shape)
@@ -220,43 +224,51 @@ class LaggedSolver:
         `squares` are those of the norms of the right-hand sides b.
         """
         assert self._factor is not None
-        bound = self.rtol**2 * squares
+        bound = self.rtol**2 * np.where(squares > 0, squares, 1.0)
         # The largest entry of a positive definite matrix is on its diagonal and bounds the
         # rounding errors in A x, below which no residual can be brought.
         rounding = 4 * np.finfo(float).eps * A.data.max()
 
-        def small(factor: float) -> bool:
-            rr = _dots(r, r)
-            if (rr <= bound).all():
-                return True
-            floor = (factor * rounding) ** 2 * _dots(x, x)
-            return bool((rr <= np.maximum(bound, floor)).all())
+        def excess(margin: float = 1.0) -> float:
+            """Logarithm of the largest quotient of a residual and its bound."""
+            rr = np.vecdot(r, r)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value = np.log(rr / bound).max()
+                if not value <= 0:
+                    floor = (margin * rounding) ** 2 * np.vecdot(x, x)
+                    value = np.log(rr / np.maximum(bound, floor)).max()
+            return float(value / 2)
 
         r = b - _times(A, x)
         p, rz_old = np.zeros_like(r), np.ones(len(r))
-        for k in range(self.patience + 1):
-            if small(1):
-                break
-            if k == self.patience:
+        k, start = 0, excess()
+        end = start
+        while not end <= 0:  # it may be NaN
+            if k == self.price or not np.isfinite(end):
                 return False
-            z = _rows(self._factor.solve(np.ascontiguousarray(r.T)))
-            rz = _dots(r, z)
+            z = self._factor.solve(r.T).T
+            rz = np.vecdot(r, z)
             p *= (rz / rz_old)[:, None]
             p += z
             Ap = _times(A, p)
-            pAp = _dots(p, Ap)
+            pAp = np.vecdot(p, Ap)
             alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)[:, None]
             x += alpha * p
             Ap *= alpha
             r -= Ap
             rz_old = np.where(rz > 0, rz, 1.0)
-            self.iterations += 1
+            k, end = k + 1, excess()
+        self.iterations += k
+        if k > 0 and self._rate is None:
+            self._rate = (start - end) / k
+        elif k > 0:
+            self._lost += max(0, k - ceil(start / self._rate))
         # A constant added to x makes the residual's sum zero, at little cost to the residual.
-        row_sums = np.add.reduceat(A.data, A.indptr[:-1])
+        row_sums = A @ np.ones(A.shape[0])
         shift = (r.sum(axis=1) / row_sums.sum())[:, None]
         x += shift
         r -= shift * row_sums
-        return small(4)
+        return excess(margin=4) <= 0
 
 
 def _rows(b: Array) -> Array:
@@ -267,8 +279,3 @@ def _rows(b: Array) -> Array:
 def _times(A: csr_array, x: Array) -> Array:
     """A times each row of x."""
     return np.stack([A @ row for row in x])
-
-
-def _dots(a: Array, b: Array) -> Array:
-    """Inner products row by row."""
-    return np.array([u @ v for u, v in zip(a, b, strict=True)])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.assembly import DegenerateElementError
+from esfem_core.assembly import DegenerateElementError, with_data
 from esfem_core.bdf import delta, gamma
 from esfem_core.linear_solver import Solver
 from esfem_core.problem import Problem
@@ -142,7 +142,7 @@ def _sum(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     """The matrix a M + b A of two matrices with the same sparsity pattern."""
     data = a * M.data
     data += b * A.data
-    return csr_array((data, M.indices, M.indptr), shape=M.shape)
+    return with_data(M, data)
 
 
 def _extrapolate(values: Sequence[Array]) -> Array:

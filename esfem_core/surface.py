@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from esfem_core.assembly import ElementTables, Metric, NodalSum, SparsePattern, chunks
+from esfem_core.dissection import dissect
 from esfem_core.lagrange import tabulate
+from esfem_core.multifrontal import Fronts
 from esfem_core.nodes import number_cells, place_nodes
-from esfem_core.ordering import nested_dissection
 from esfem_core.quadrature import triangle_rule
 from esfem_core.triangulation import check_triangulation
 
@@ -110,7 +111,8 @@ class SurfaceSpace:
         self.cells = number_cells(faces, self.degree)
         self.nodes = place_nodes(vertices, faces, self.cells, self.degree, project)
         self._tables = ElementTables(basis, self.rule)
-        self._pattern = SparsePattern(self.cells, self._tables.pairs, len(self.nodes))
+        self._chunks = list(chunks(len(self.cells), len(self._tables.gradients) // 2))
+        self._pattern = SparsePattern(self.cells, self._tables.pairs, len(self.nodes), self._chunks)
         self._sum = NodalSum(self.cells, len(self.nodes))
         self._cells_last = np.ascontiguousarray(self.cells.T)  # (n, T)
 
@@ -166,25 +168,25 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        n_cells, n_points = len(self.cells), len(self.rule.weights)
-        mass, stiffness = self._entries
         if u is None:
-            for c, g in self._metrics(x):
-                mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
-            return Assembly(self._pattern.matrix(mass), self._pattern.matrix(stiffness))
-
+            return Assembly(
+                *self._pattern.matrices(self._tables.mass_stiffness(g) for _, g in self._metrics(x))
+            )
+        n_cells, n_points = len(self.cells), len(self.rule.weights)
         local = self._local(u)
         gradient = np.empty((len(local), 3, n_points, n_cells))
         normals, points = np.empty((2, 3, n_points, n_cells))
         density = np.empty((n_points, n_cells))
-        for c, g in self._metrics(x):
-            mass[:, c], stiffness[:, c] = self._tables.mass_stiffness(g)
-            gradient[..., c] = self._tables.gradient(g, local[:, :, c])
-            normals[..., c], density[:, c] = g.normals(), g.s
-            points[..., c] = self._tables.values @ g.nodes
+
+        def entries() -> Iterator[tuple[Array, Array]]:
+            for c, g in self._metrics(x):
+                gradient[..., c] = self._tables.gradient(g, local[:, :, c])
+                normals[..., c], density[:, c] = g.normals(), g.s
+                points[..., c] = self._tables.values @ g.nodes
+                yield self._tables.mass_stiffness(g)
+
         return Assembly(
-            self._pattern.matrix(mass),
-            self._pattern.matrix(stiffness),
+            *self._pattern.matrices(entries()),
             density,
             normals.transpose(2, 1, 0),
             points.transpose(2, 1, 0),
@@ -312,14 +314,14 @@ class SurfaceSpace:
         return out.transpose(3, 2, 0, 1)
 
     @cached_property
-    def _entries(self) -> Array:
-        """Room for the element matrices; fresh memory for them would cost more than to fill it."""
-        return np.empty((2, self._tables.pairs.shape[1], len(self.cells)))
-
-    @cached_property
     def elimination_order(self) -> NDArray[np.int64]:
         """Order of the nodes for sparse factorisations, (N,)."""
-        return nested_dissection(self.cells, self.nodes)
+        return dissect(self.cells, self.nodes, part_size=10).order
+
+    @cached_property
+    def fronts(self) -> Fronts:
+        """What factorises matrices of this space, such as M, K or M/tau + A."""
+        return Fronts(dissect(self.cells, self.nodes), self.cells, self._pattern.pattern)
 
     def mesh_size(self, x: Array) -> float:
         """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""
@@ -332,7 +334,7 @@ class SurfaceSpace:
         if x.shape != self.nodes.shape:
             raise ValueError(f"x must have shape {self.nodes.shape}, got {x.shape}")
         coordinates = np.ascontiguousarray(x.T)
-        for c in chunks(len(self.cells), len(self._tables.gradients) // 2):
+        for c in self._chunks:
             nodes = coordinates.take(self._cells_last[:, c], axis=1)
             yield c, self._tables.metric(nodes, c.start)
 

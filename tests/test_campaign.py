@@ -81,7 +81,7 @@ def test_provenance_names_every_machine(tmp_path):
     experiment = Experiment("demo", "", compute, chains([1]))
     list(campaign.run([experiment], tmp_path, jobs=1))
     rows = campaign.read(tmp_path / "demo.jsonl")
-    other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "Abacus"})
+    other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "A counting frame"})
     text = campaign.provenance([*rows, other])
-    assert text.startswith("6 runs, 0.0 minutes in all, on Abacus and ")
+    assert text.startswith("6 runs, 0.0 minutes in all, on A counting frame and ")
     assert rows[0].provenance["machine"] in text

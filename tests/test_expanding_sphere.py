@@ -35,7 +35,7 @@ def test_the_lifted_error_contains_that_of_interpolation():
 
 
 def test_a_run_that_stops_says_when_and_has_no_errors():
-    e = run("icosahedron", 2, 2, 3, 1 / 40, "printed")  # quadrature points on the circles
+    e = run("icosahedron", 2, 2, 2, 1 / 20, "printed")  # quadrature points on the circles
     assert 0 < e["t"] < 1
     assert np.isnan([e["x_l2"], e["u_h1_lifted"], e["slope"]]).all()
 

@@ -18,7 +18,7 @@ def relative_residual(A, x, b):
     return (np.linalg.norm(b - A @ x, axis=0) / np.linalg.norm(b, axis=0)).max()
 
 
-@pytest.mark.parametrize("factorise", [superlu, cholmod])
+@pytest.mark.parametrize("factorise", [superlu, cholmod, SPACE.fronts.factorise])
 @pytest.mark.parametrize("columns", [(), (3,)])
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
 def test_residual_along_a_slow_change(columns, rtol, factorise):
@@ -100,7 +100,7 @@ def test_unsolvable_systems_are_reported(bad):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"rtol": 0}, r"rtol must lie in \(0, 1\)"), ({"patience": 0}, "patience must be at least 1")],
+    [({"rtol": 0}, r"rtol must lie in \(0, 1\)"), ({"price": 0}, "price must be at least 1")],
 )
 def test_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
