@@ -176,7 +176,7 @@ class LaggedSolver:
         self._factorise = factorise
         self._factor: Factor | None = None
         self._lost = 0  # iterations that its age has cost
-        self._rate: float | None = None  # how much an iteration achieved while it was new
+        self._rate = 0.0  # what an iteration achieved while it was new; 0 until there was one
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b for symmetric positive definite A.
@@ -208,7 +208,7 @@ class LaggedSolver:
         if self._lost >= self.price:
             self._factor = None
         if self._factor is None or not self._conjugate_gradients(A, rows, x, squares):
-            self._factor, self._lost, self._rate = self._factorise(A), 0, None
+            self._factor, self._lost, self._rate = self._factorise(A), 0, 0.0
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
             if not self._conjugate_gradients(A, rows, x, squares):
@@ -259,7 +259,7 @@ class LaggedSolver:
             rz_old = np.where(rz > 0, rz, 1.0)
             k, end = k + 1, excess()
         self.iterations += k
-        if k > 0 and self._rate is None:
+        if k > 0 and self._rate == 0:
             self._rate = (start - end) / k
         elif k > 0:
             self._lost += max(0, k - ceil(start / self._rate))

@@ -155,7 +155,7 @@ class Fronts:
     """
 
     def __init__(self, tree: Dissection, cells: Ints, pattern: csr_array) -> None:
-        column = pattern.indices
+        column = pattern.indices.astype(np.int64)
         row = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
         # An entry comes in where the first of its two nodes is eliminated.
         first = tree.node_depth[row] >= tree.node_depth[column]
@@ -304,7 +304,7 @@ class BlockFactor:
             _upwards(y, batch, block)
         for batch, block in reversed(self._blocks):
             _downwards(y, batch, block)
-        x = y.take(self._fronts.slot, axis=1) * (size / self._scale)
+        x: Array = y.take(self._fronts.slot, axis=1) * (size / self._scale)
         return x.T.reshape(b.shape)
 
 
