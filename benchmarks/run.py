@@ -22,7 +22,7 @@ import textbook
 from timing import in_turn, machine, summary
 
 import esfem_core as ec
-from esfem_core.linear_solver import LaggedSolver
+from esfem_core.linear_solver import LaggedSolver, cholmod, superlu
 from esfem_core.study import final
 from esfem_core.surface import SurfaceSpace
 
@@ -59,8 +59,12 @@ def assembly(repeats=15):
     return rows
 
 
-def step(solver, peer_solver, blocks=6, length=3):
-    """A whole step of the coupled problem, in blocks of steps in turn."""
+def step(solver, peer_solver, blocks=10, length=5):
+    """A whole step of the coupled problem, in blocks of steps in turn.
+
+    The ratio of the total times counts all that a run needs after its first steps, new
+    factorisations too, which the median over the blocks may leave out.
+    """
     rows = []
     for refinements in (4, 5, 6):
         space = sphere(refinements)
@@ -80,7 +84,8 @@ def step(solver, peer_solver, blocks=6, length=3):
                     times.append([peer, run(ours, length)])
                 (_, x, u), state = next(theirs), next(ours)
                 row = summary(*(np.array(times) / length).T)
-                row |= {"nodes": len(x), "step": tau, "order": order}
+                peer, own = np.sum(times, axis=0)
+                row |= {"nodes": len(x), "step": tau, "order": order, "total": peer / own}
                 row["difference"] = float(max(abs(state.x - x).max(), abs(state.u - u).max()))
                 rows.append(row)
                 print(solver, peer_solver, row, flush=True)
@@ -144,6 +149,40 @@ def one_size(refinements, steps=12):
     print(json.dumps(row))
 
 
+def factorisations(repeats=9):
+    """Factorise M + A, and solve with three right-hand sides."""
+    rows = []
+    for refinements in (4, 5, 6):
+        space = sphere(refinements)
+        M, A = space.mass_stiffness(space.nodes)
+        K, b = (
+            M + A,
+            np.asfortranarray(np.random.default_rng(0).standard_normal((len(M.indptr) - 1, 3))),
+        )
+        order = space.elimination_order
+        for name, factorise in (
+            ("SuperLU", lambda K, order=order: superlu(K, order)),
+            ("CHOLMOD", lambda K, order=order: cholmod(K, order)),
+            ("dense fronts, double", lambda K, space=space: space.fronts.factorise(K, float)),
+            ("dense fronts, single", space.fronts.factorise),
+        ):
+            factor = factorise(K)
+            residual = np.linalg.norm(K @ factor.solve(b) - b) / np.linalg.norm(b)
+            factor_time = np.median([seconds(factorise, K) for _ in range(repeats)])
+            solve_time = np.median([seconds(factor.solve, b) for _ in range(5 * repeats)])
+            rows.append(
+                {
+                    "nodes": len(b),
+                    "name": name,
+                    "factorise": float(factor_time),
+                    "solve": float(solve_time),
+                    "residual": float(residual),
+                }
+            )
+            print(rows[-1], flush=True)
+    return rows
+
+
 def breakdown(steps=20):
     """Where the time of a step goes, by timing the calls inside it."""
     rows = []
@@ -193,16 +232,16 @@ def limits():
     pairs, points = n * (n + 1) // 2, len(space.rule.weights)
     nnz = space.mass_stiffness(space.nodes)[0].nnz
     half = (nnz + len(space.nodes)) // 2
-    # Read nodes by element; write and read back the entries of two matrices with an index each;
-    # write half of both matrices, read it with an index, write both whole.
-    moved = n_cells * n * (3 * 8 + 8) + 2 * n_cells * pairs * (8 + 8 + 4)
-    moved += 2 * (half * 16 + nnz * (4 + 8))
+    # Read nodes by element, and an index for each element entry, twice; write the sums of both
+    # matrices and read them with an index; write both matrices.
+    moved = n_cells * n * (3 * 8 + 8) + 2 * n_cells * pairs * 4
+    moved += 2 * (half * 16 + nnz * (8 + 8))
     flops = 2 * n_cells * points * (2 * n * 3 + pairs * 4) + 40 * n_cells * points
     source, target = np.ones((2, 8_000_000))
     square = np.ones((1500, 1500))
-    copy = min(seconds(lambda: np.copyto(target, source)) for _ in range(5))
-    gemm = min(seconds(lambda: square @ square) for _ in range(5))
-    spent = np.median([seconds(lambda: space.mass_stiffness(space.nodes)) for _ in range(15)])
+    copy = min(seconds(np.copyto, target, source) for _ in range(5))
+    gemm = min(seconds(np.matmul, square, square) for _ in range(5))
+    spent = np.median([seconds(space.mass_stiffness, space.nodes) for _ in range(15)])
     return {
         "nodes": len(space.nodes),
         "seconds": float(spent),
@@ -213,10 +252,10 @@ def limits():
     }
 
 
-def seconds(function):
+def seconds(function, *arguments):
     """Seconds for one call."""
     start = time.perf_counter()
-    function()
+    function(*arguments)
     return time.perf_counter() - start
 
 
@@ -227,6 +266,7 @@ SUITE = {
     "step_lagged_peer": lambda: step("lagged", "lagged"),
     "implicit_euler": implicit_euler,
     "scaling": scaling,
+    "factorisations": factorisations,
     "breakdown": breakdown,
     "limits": limits,
 }

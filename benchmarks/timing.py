@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy
+from threadpoolctl import threadpool_info
 
 
 def in_turn(peer, ours, repeats):
@@ -49,5 +50,8 @@ def machine():
         "system": f"{platform.system()}, Python {platform.python_version()}",
         "numpy": np.__version__,
         "scipy": scipy.__version__,
+        "BLAS": ", ".join(
+            sorted({f"{b['internal_api']} {b['architecture']}" for b in threadpool_info()})
+        ),
         "threads": 1,
     }

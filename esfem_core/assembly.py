@@ -187,6 +187,11 @@ class SparsePattern:
         N.
     slices : sequence of slice
         The chunks.
+
+    Attributes
+    ----------
+    pattern : (N, N) CSR array
+        Its data tell for each entry which of the sums it is.
     """
 
     def __init__(
@@ -196,23 +201,25 @@ class SparsePattern:
         n_nodes: int,
         slices: Sequence[slice],
     ) -> None:
+        # The entries of the upper triangle, and which of them each element entry adds to.
         a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
         keys, inverse, counts = np.unique(
             np.minimum(a, b) * n_nodes + np.maximum(a, b), return_inverse=True, return_counts=True
         )
-        sums = inverse.reshape(a.shape)  # which entry of the upper triangle each adds to
-        first, last = np.full(len(keys), len(slices)), np.full(len(keys), -1)
+        sums = inverse.reshape(a.shape)
+        first, last = np.empty((2, len(keys)), dtype=np.int64)  # chunks that add to them
         for i, c in enumerate(slices):
-            first[sums[:, c]] = np.minimum(first[sums[:, c]], i)
             last[sums[:, c]] = i
-        chunk = np.where(first == last, first, len(slices))
-        place = np.argsort(np.lexsort((counts, chunk)))
-        self._shared = int(np.count_nonzero(first == last))  # places from here on are shared
+        for i, c in reversed(list(enumerate(slices))):
+            first[sums[:, c]] = i
+        alone = first == last
+        # Sums of equally many terms in a row spare the processor wrong guesses.
+        place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
+        self._shared = int(np.count_nonzero(alone))  # places from here on are shared
         self._parts = [self._part(place[sums[:, c]]) for c in slices]
 
         rows, columns = np.divmod(keys, n_nodes)
         off = rows != columns
-        # Its data, of the type that take wants, tell which sum each entry is.
         self.pattern = csr_array(
             (
                 np.r_[place, place[off]],
@@ -221,6 +228,7 @@ class SparsePattern:
             shape=(n_nodes, n_nodes),
         )
         self.pattern.sort_indices()
+        self.pattern.has_canonical_format = True
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         self._n_sums = len(keys)
@@ -230,14 +238,15 @@ class SparsePattern:
         order = np.argsort(places, axis=None, kind="stable")
         used, starts = np.unique(places.ravel()[order], return_index=True)
         own, shared = np.split(used, [np.searchsorted(used, self._shared)])
-        return _sums(order, starts), slice(own[0], own[-1] + 1) if len(own) else slice(0), shared
+        first = own[0] if len(own) else 0
+        return _sums(order, starts), slice(first, first + len(own)), shared
 
     def matrices(self, chunks: Iterable[tuple[Array, Array]]) -> tuple[csr_array, csr_array]:
         """Sum the element entries of two matrices, (P, C) each for every chunk, into CSR."""
         sums = np.empty((2, self._n_sums))
         sums[:, self._shared :] = 0.0
         for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
-            n_own = own.stop - (own.start or 0)
+            n_own = own.stop - own.start
             for out, values in zip(sums, entries, strict=True):
                 chunk_sums = gather @ values.ravel()
                 out[own] = chunk_sums[:n_own]

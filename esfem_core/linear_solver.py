@@ -241,9 +241,17 @@ class LaggedSolver:
 
         r = b - _times(A, x)
         p, rz_old = np.zeros_like(r), np.ones(len(r))
+        row_sums = A @ np.ones(A.shape[0])
         k, start = 0, excess()
         end = start
-        while not end <= 0:  # it may be NaN
+        while True:
+            if end <= 0:
+                # A constant added to x makes the residual's sum zero, at little cost to its norm.
+                shift = (r.sum(axis=1) / row_sums.sum())[:, None]
+                x += shift
+                r -= shift * row_sums
+                if excess(margin=4) <= 0:
+                    break
             if k == self.price or not np.isfinite(end):
                 return False
             z = self._factor.solve(r.T).T
@@ -259,16 +267,11 @@ class LaggedSolver:
             rz_old = np.where(rz > 0, rz, 1.0)
             k, end = k + 1, excess()
         self.iterations += k
-        if k > 0 and self._rate == 0:
+        if self._rate == 0 < k:
             self._rate = (start - end) / k
         elif k > 0:
             self._lost += max(0, k - ceil(start / self._rate))
-        # A constant added to x makes the residual's sum zero, at little cost to the residual.
-        row_sums = A @ np.ones(A.shape[0])
-        shift = (r.sum(axis=1) / row_sums.sum())[:, None]
-        x += shift
-        r -= shift * row_sums
-        return excess(margin=4) <= 0
+        return True
 
 
 def _rows(b: Array) -> Array:
