@@ -41,6 +41,8 @@ class Batch(NamedTuple):
         Slots of the nodes I, front by front.
     slots : (F, m) int array
         Slots of all the nodes, I before B.
+    outer : (F (m - m_I),) int array
+        Those of the nodes B alone.
     memory : slice
         Where the fronts stand in the memory of their depth.
     rows, columns : (F, m - m_I) int arrays
@@ -49,6 +51,7 @@ class Batch(NamedTuple):
 
     own: slice
     slots: Ints
+    outer: Ints
     memory: slice
     rows: Ints
     columns: Ints
@@ -210,6 +213,7 @@ class Fronts:
                 Batch(
                     own,
                     front_slots,
+                    front_slots[:, n_own:].ravel(),
                     slice(layout.base[first], layout.base[first] + len(parts) * m * m),
                     rows[a:b].reshape(shape)[:, n_own:],
                     columns[a:b].reshape(shape)[:, n_own:],
@@ -317,9 +321,8 @@ def _upwards(y: Array, batch: Batch, block: Array) -> None:
     count, k, _ = block.shape
     y_I = y[:, batch.own].reshape(len(y), count, k).swapaxes(0, 1)[..., None]
     change = (block[:, None, :, k:].swapaxes(2, 3) @ y_I).swapaxes(0, 1)
-    B = batch.slots[:, k:].ravel()
     for row, values in zip(y, change, strict=True):
-        np.add.at(row, B, values.ravel())
+        np.add.at(row, batch.outer, values.ravel())
 
 
 def _downwards(y: Array, batch: Batch, block: Array) -> None:
