@@ -8,6 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
+from esfem_core import multifrontal
 from esfem_core.linear_solver import DirectSolver, LaggedSolver, Solver, cholmod, superlu
 from esfem_core.problem import Problem
 from esfem_core.scheme import Perturbation, march
@@ -178,7 +179,7 @@ def _check_states(start: Sequence[State], order: int, step: float, n_steps: int)
 
 def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
     if solver == "lagged":
-        return partial(LaggedSolver, factorise=space.fronts.factorise)
+        return partial(LaggedSolver, factorise=partial(multifrontal.factorise, fronts=space.fronts))
     order = space.elimination_order
     if solver == "cholmod":
         return partial(LaggedSolver, factorise=partial(cholmod, order=order))

@@ -240,6 +240,7 @@ class LaggedSolver:
             return float(value / 2)
 
         r = b - _times(A, x)
+        p, rz_old = np.zeros((len(r), 1)), np.ones(len(r))  # no direction yet
         row_sums = A @ np.ones(A.shape[0])
         k, start = 0, excess()
         end = start
@@ -255,7 +256,7 @@ class LaggedSolver:
                 return False
             z = self._factor.solve(r.T).T
             rz = np.vecdot(r, z)
-            p = z if k == 0 else z + (rz / rz_old)[:, None] * p
+            p = z + (rz / rz_old)[:, None] * p
             Ap = _times(A, p)
             pAp = np.vecdot(p, Ap)
             alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)[:, None]

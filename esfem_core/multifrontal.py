@@ -1,8 +1,7 @@
-"""Sparse factorisations made of small dense matrices, in NumPy.
+"""Sparse factorisations made of small dense matrices, in NumPy (Duff and Reid, 1983).
 
-The nodes of a dissected mesh are eliminated part by part, from the smallest parts to the whole
-(Duff and Reid, 1983). A part's front is a dense symmetric matrix on the nodes I that it owns and
-the nodes B around it, which larger parts own:
+The front of a part of a dissected mesh, a dense symmetric matrix on the nodes I that the part owns
+and the nodes B around it, is
 
     F = [F_II  F_IB]     the entries of A that come in with I, and the S of the part's two halves
         [F_BI  F_BB]
@@ -10,259 +9,78 @@ the nodes B around it, which larger parts own:
     S = F_BB - F_BI W    handed on to the part that this one is a half of
 
 Then A x = b is solved by y_B -= W^T y_I from the smallest parts upwards, starting from y = b, and
-x_I = F_II^{-1} y_I - W x_B downwards. Parts of one depth do not wait for each other: those of
-similar size form a batch, are padded to one shape and worked on at once.
+x_I = F_II^{-1} y_I - W x_B downwards.
 """
-
-from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.dissection import Dissection
+from esfem_core.fronts import Batch, Fronts
 
-__all__ = ["BlockFactor", "Fronts"]
-
-BATCH = 32  # parts that a batch has at least, where there are so many
-BATCHES = 4  # batches that a depth has at most
+__all__ = ["BlockFactor", "factorise"]
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
-class Batch(NamedTuple):
-    """F fronts of one shape (m, m), each with m_I nodes of its own.
-
-    Attributes
-    ----------
-    own : slice
-        Slots of the nodes I, front by front.
-    slots : (F, m) int array
-        Slots of all the nodes, I before B.
-    outer : (F (m - m_I),) int array
-        Those of the nodes B alone.
-    memory : slice
-        Where the fronts stand in the memory of their depth.
-    rows, columns : (F, m - m_I) int arrays
-        Entry (i, j) of S belongs to rows[i] + columns[j] in the memory of the next smaller depth.
-    """
-
-    own: slice
-    slots: Ints
-    outer: Ints
-    memory: slice
-    rows: Ints
-    columns: Ints
-
-
-class Level(NamedTuple):
-    """The fronts of one depth.
-
-    Attributes
-    ----------
-    batches : list of Batch
-    size : int
-        Length of the memory for all fronts.
-    entries, places : int arrays
-        Entries of A that come in here, by their positions in its data, and where in the memory.
-    padding : int array
-        Where in the memory the diagonals of padded nodes I stand.
-    """
-
-    batches: list[Batch]
-    size: int
-    entries: Ints
-    places: Ints
-    padding: Ints
-
-
-class _Layout:
-    """Which nodes the parts of one depth have, and where their fronts stand in the memory.
-
-    Attributes
-    ----------
-    part, node, local : int arrays
-        Triples of a part, a node of it and the node's number in the part's front.
-    inner : bool array
-        Whether the part owns the node.
-    groups : list of int arrays
-        Parts that form a batch.
-    owned, width, base : (parts,) int arrays
-        m_I, m and the start of the front in the memory.
-    """
-
-    def __init__(self, tree: Dissection, cells: Ints, depth: int) -> None:
-        self._n_nodes, self._outer = len(tree.node_depth), tree.node_depth < depth
-        part = (tree.cell_part >> (tree.depth - depth)).repeat(cells.shape[1])
-        node = cells.ravel()
-        relevant = tree.node_depth[node] <= depth  # others have been eliminated in smaller parts
-        self._keys = np.unique(self._key(part[relevant], node[relevant]))
-        twice, self.node = np.divmod(self._keys, self._n_nodes)
-        self.part, self.inner = twice // 2, twice % 2 == 0
-        counts = np.bincount(twice, minlength=2 << depth)
-        rank = np.arange(len(twice)) - (np.cumsum(counts) - counts)[twice]
-        inner, outer = counts.reshape(-1, 2).T
-
-        self.owned, self.width, self.base = np.empty((3, 1 << depth), dtype=np.int64)
-        self.groups = np.array_split(
-            np.argsort(inner + outer, kind="stable"), np.clip((1 << depth) // BATCH, 1, BATCHES)
-        )
-        self.size = 0
-        for parts in self.groups:
-            self.owned[parts] = inner[parts].max()
-            self.width[parts] = m = inner[parts].max() + outer[parts].max()
-            self.base[parts] = self.size + m * m * np.arange(len(parts))
-            self.size += m * m * len(parts)
-        self.local = np.where(self.inner, rank, rank + self.owned[self.part])
-
-    def _key(self, part: Ints, node: Ints) -> Ints:
-        """Numbers that sort by part, then inner nodes before outer ones."""
-        return (2 * part + self._outer[node]) * self._n_nodes + node
-
-    def find(self, part: Ints, node: Ints) -> Ints:
-        """Numbers of nodes in the fronts of parts."""
-        return self.local[np.searchsorted(self._keys, self._key(part, node))]
-
-
-class Fronts:
-    """The fronts of a mesh, for all matrices of one sparsity pattern; made once.
+def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike = np.float32) -> "BlockFactor":
+    """Factorise a symmetric positive definite matrix.
 
     Parameters
     ----------
-    tree : Dissection
-    cells : (T, n) int array
-        Nodes of each element.
-    pattern : (N, N) CSR array
-        Nodes that it couples share an element.
+    A : (N, N) CSR array
+        Of the pattern that the fronts were made for.
+    fronts : Fronts
+        Of a mesh, for example :attr:`esfem_core.SurfaceSpace.fronts`.
+    dtype : float type
+        In which the factor is kept. It is computed in double precision. Solving is bound by
+        memory: single precision, enough for a preconditioner, takes half the time.
 
-    Attributes
-    ----------
-    slot : (N,) int array
-        Place of each node in the padded order, in which all else is numbered.
-    size : int
-        Number of slots. Slot 0 stands for padded nodes B: zeros are read and written there.
-    levels : list of Level
-        Those of the tree, the whole mesh first.
+    Returns
+    -------
+    BlockFactor
+
+    Raises
+    ------
+    ValueError
+        If the matrix has not the pattern of the fronts.
+    numpy.linalg.LinAlgError
+        If it is singular or not finite.
 
     Examples
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
     >>> M, A = space.mass_stiffness(space.nodes)
-    >>> factor = space.fronts.factorise(M + A, dtype=np.float64)
+    >>> factor = factorise(M + A, space.fronts, dtype=np.float64)
     >>> b = space.nodes.prod(axis=1)
     >>> bool(np.allclose((M + A) @ factor.solve(b), b, rtol=0, atol=1e-14))
     True
     """
-
-    def __init__(self, tree: Dissection, cells: Ints, pattern: csr_array) -> None:
-        column = pattern.indices.astype(np.int64)
-        row = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
-        # An entry comes in where the first of its two nodes is eliminated.
-        first = tree.node_depth[row] >= tree.node_depth[column]
-        entry_depth = np.where(first, tree.node_depth[row], -1)
-        self.slot = np.zeros(pattern.shape[0], dtype=np.int64)
-        self.size = 1
-        self.levels: list[Level] = []
-        above = None
-        for depth in range(tree.depth + 1):
-            layout = _Layout(tree, cells, depth)
-            entries = np.flatnonzero(entry_depth == depth)
-            part = tree.node_part[row[entries]]
-            i, j = (layout.find(part, nodes[entries]) for nodes in (row, column))
-            places = layout.base[part] + i * layout.width[part] + j
-            batches, padding = self._batches(layout, above)
-            self.levels.append(Level(batches, layout.size, entries, places, padding))
-            above = layout
-
-    def _batches(self, layout: _Layout, above: _Layout | None) -> tuple[list[Batch], Ints]:
-        """Batches of a depth, and its padding; gives the nodes it owns their slots."""
-        offset, start = np.empty((2, len(layout.owned)), dtype=np.int64)
-        total = 0
-        for parts in layout.groups:
-            count, n_own, m = len(parts), layout.owned[parts[0]], layout.width[parts[0]]
-            start[parts] = self.size + n_own * np.arange(count)
-            offset[parts] = total + m * np.arange(count)
-            self.size += n_own * count
-            total += m * count
-        part, node, inner, outer = layout.part, layout.node, layout.inner, ~layout.inner
-        self.slot[node[inner]] = start[part[inner]] + layout.local[inner]
-        at = offset[part] + layout.local
-        slots, rows, columns = np.zeros((3, total), dtype=np.int64)
-        slots[at] = self.slot[node]
-        if above is not None:
-            whole = part[outer] // 2
-            columns[at[outer]] = above.find(whole, node[outer])
-            rows[at[outer]] = above.base[whole] + columns[at[outer]] * above.width[whole]
-        used = np.zeros(total, dtype=bool)
-        used[at] = True
-
-        batches, padding = [], []
-        for parts in layout.groups:
-            first, n_own, m = parts[0], layout.owned[parts[0]], layout.width[parts[0]]
-            shape = len(parts), m
-            a, b = offset[first], offset[first] + len(parts) * m
-            own = slice(start[first], start[first] + len(parts) * n_own)
-            front_slots = slots[a:b].reshape(shape)
-            front_slots[:, :n_own] = np.arange(own.start, own.stop).reshape(len(parts), n_own)
-            front, i = np.nonzero(~used[a:b].reshape(shape)[:, :n_own])
-            padding.append(layout.base[parts[front]] + i * (m + 1))
-            batches.append(
-                Batch(
-                    own,
-                    front_slots,
-                    front_slots[:, n_own:].ravel(),
-                    slice(layout.base[first], layout.base[first] + len(parts) * m * m),
-                    rows[a:b].reshape(shape)[:, n_own:],
-                    columns[a:b].reshape(shape)[:, n_own:],
-                )
-            )
-        return batches, np.concatenate(padding)
-
-    def factorise(self, A: csr_array, dtype: DTypeLike = np.float32) -> "BlockFactor":
-        """Factorise a symmetric positive definite matrix of this pattern.
-
-        Parameters
-        ----------
-        A : (N, N) CSR array
-        dtype : float type
-            In which the factor is kept. It is computed in double precision. Solving is bound by
-            memory: single precision, enough for a preconditioner, takes half the time.
-
-        Returns
-        -------
-        BlockFactor
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is singular or not finite.
-        """
-        scale = float(abs(A.data).max())
-        if not 0 < scale < np.inf:
-            raise np.linalg.LinAlgError(
-                "the matrix of a linear system is singular or not finite: "
-                f"its largest entry is {scale}"
-            )
-        blocks = []
-        # What overflows here is no solution: whoever checks the residual will see it.
-        with np.errstate(over="ignore", invalid="ignore"):
-            memory = np.zeros(self.levels[-1].size)
-            for level, size in self._upwards():
-                memory[level.places] += A.data[level.entries] / scale
-                memory[level.padding] = 1.0
-                larger = np.zeros(size)
-                for batch in level.batches:
-                    blocks.append((batch, _eliminate(batch, memory, larger, dtype)))
-                memory = larger
-        return BlockFactor(self, scale, blocks)
-
-    def _upwards(self) -> Iterator[tuple[Level, int]]:
-        """Levels, smallest parts first, with the size of the memory of the next."""
-        sizes = [0, *(level.size for level in self.levels)]
-        return zip(reversed(self.levels), reversed(sizes[:-1]), strict=True)
+    n = len(fronts.slot)
+    if A.shape != (n, n) or len(A.data) != fronts.n_entries:
+        raise ValueError(
+            f"A must have the pattern that the fronts were made for, shape {(n, n)} with "
+            f"{fronts.n_entries} entries; got shape {A.shape} with {len(A.data)}"
+        )
+    scale = float(abs(A.data).max())
+    if not 0 < scale < np.inf:
+        raise np.linalg.LinAlgError(
+            f"the matrix of a linear system is singular or not finite: its largest entry is {scale}"
+        )
+    blocks = []
+    sizes = [0, *(level.size for level in fronts.levels)]
+    # What overflows here is no solution: whoever checks the residual will see it.
+    with np.errstate(over="ignore", invalid="ignore"):
+        memory = np.zeros(fronts.levels[-1].size)
+        for level, size in zip(reversed(fronts.levels), reversed(sizes[:-1]), strict=True):
+            memory[level.places] += A.data[level.entries] / scale
+            memory[level.padding] = 1.0
+            larger = np.zeros(size)
+            for batch in level.batches:
+                blocks.append((batch, _eliminate(batch, memory, larger, dtype)))
+            memory = larger
+    return BlockFactor(fronts, scale, blocks)
 
 
 def _eliminate(batch: Batch, memory: Array, larger: Array, dtype: DTypeLike) -> Array:
@@ -281,7 +99,7 @@ def _eliminate(batch: Batch, memory: Array, larger: Array, dtype: DTypeLike) -> 
 
 
 class BlockFactor:
-    """A factorised matrix; made by :meth:`Fronts.factorise`."""
+    """A factorised matrix; made by :func:`factorise`."""
 
     def __init__(self, fronts: Fronts, scale: float, blocks: list[tuple[Batch, Array]]) -> None:
         self._fronts, self._scale, self._blocks = fronts, scale, blocks

@@ -15,8 +15,8 @@ from scipy.sparse import csr_array
 
 from esfem_core.assembly import ElementTables, Metric, NodalSum, SparsePattern, chunks
 from esfem_core.dissection import dissect
+from esfem_core.fronts import Fronts
 from esfem_core.lagrange import tabulate
-from esfem_core.multifrontal import Fronts
 from esfem_core.nodes import number_cells, place_nodes
 from esfem_core.quadrature import triangle_rule
 from esfem_core.triangulation import check_triangulation
@@ -320,7 +320,7 @@ class SurfaceSpace:
 
     @cached_property
     def fronts(self) -> Fronts:
-        """What factorises matrices of this space, such as M, K or M/tau + A."""
+        """What :func:`esfem_core.multifrontal.factorise` needs for matrices of this space."""
         return Fronts(dissect(self.cells, self.nodes), self.cells, self._pattern.pattern)
 
     def mesh_size(self, x: Array) -> float:

@@ -1,12 +1,16 @@
 """The residual asked for is the residual obtained, whatever the matrix does meanwhile."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 import esfem_core as ec
+from esfem_core import multifrontal
 from esfem_core.linear_solver import DirectSolver, LaggedSolver, cholmod, superlu
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+fronts = partial(multifrontal.factorise, fronts=SPACE.fronts)
 
 
 def system(stretch, tau=0.01):
@@ -18,7 +22,7 @@ def relative_residual(A, x, b):
     return (np.linalg.norm(b - A @ x, axis=0) / np.linalg.norm(b, axis=0)).max()
 
 
-@pytest.mark.parametrize("factorise", [superlu, cholmod, SPACE.fronts.factorise])
+@pytest.mark.parametrize("factorise", [superlu, cholmod, fronts])
 @pytest.mark.parametrize("columns", [(), (3,)])
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
 def test_residual_along_a_slow_change(columns, rtol, factorise):
@@ -40,6 +44,38 @@ def test_a_drifted_matrix_is_factorised_anew():
         x = solver.solve(A, b, np.zeros_like(b))
         assert relative_residual(A, x, b) <= solver.rtol
         assert solver.factorisations == expected
+
+
+def test_age_is_paid_for_with_a_new_factorisation():
+    """A larger price: fewer factorisations, more iterations, the same residuals."""
+    counts = []
+    for price in (5, 20, 1000):
+        rng = np.random.default_rng(0)
+        solver = LaggedSolver(price=price, factorise=fronts)
+        for n in range(60):
+            A, b = system(1 + 0.02 * n), rng.standard_normal(len(SPACE.nodes))
+            x = solver.solve(A, b, np.zeros_like(b))
+            assert relative_residual(A, x, b) <= solver.rtol
+        counts.append((solver.factorisations, solver.iterations))
+    (many, _), (some, _), (one, _) = counts
+    assert many > some > one == 1
+    assert counts[0][1] < counts[1][1] < counts[2][1]
+
+
+@pytest.mark.parametrize("factorise", [superlu, cholmod, fronts])
+def test_a_factorisation_of_the_matrix_itself_does_not_age(factorise):
+    """However much the guesses leave to be done."""
+    rng = np.random.default_rng(0)
+    solver, A, x = (
+        LaggedSolver(price=4, factorise=factorise),
+        system(1.2),
+        np.zeros(len(SPACE.nodes)),
+    )
+    for size in (1, 1e-3, 1e-6, 1e-9, 1) * 5:
+        b = A @ x
+        solver.solve(A, b + size * rng.standard_normal(len(b)), x)
+        x = rng.standard_normal(len(b))
+    assert solver.factorisations == 1
 
 
 def test_agrees_with_the_direct_solver():

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 
 import esfem_core as ec
 from esfem_core.dissection import dissect
-from esfem_core.multifrontal import Fronts
+from esfem_core.fronts import Fronts
+from esfem_core.multifrontal import factorise
 
 
 def pieces():
@@ -40,10 +42,10 @@ def test_agrees_with_superlu(space, columns):
     A = system(space)
     b = np.random.default_rng(0).standard_normal((len(space.nodes), *columns))
     expected = spsolve(A.tocsc(), b).reshape(b.shape)
-    x = space.fronts.factorise(A, dtype=np.float64).solve(b)
+    x = factorise(A, space.fronts, dtype=np.float64).solve(b)
     assert x.shape == b.shape
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-13 * abs(expected).max())
-    single = space.fronts.factorise(A).solve(b)
+    single = factorise(A, space.fronts).solve(b)
     assert single.dtype == np.float64
     np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5 * abs(expected).max())
 
@@ -54,7 +56,7 @@ def test_the_size_of_the_parts_does_not_matter(part_size):
     A = system(space)
     b = np.random.default_rng(0).standard_normal(len(space.nodes))
     fronts = Fronts(dissect(space.cells, space.nodes, part_size), space.cells, A)
-    x = fronts.factorise(A, dtype=np.float64).solve(b)
+    x = factorise(A, fronts, dtype=np.float64).solve(b)
     np.testing.assert_allclose(A @ x, b, rtol=0, atol=1e-12)
 
 
@@ -63,16 +65,16 @@ def test_sizes_beyond_single_precision(size):
     """The factor is linear in A and in every right-hand side, however small or large."""
     space = SPACES["linear"]
     A, b = system(space), np.random.default_rng(0).standard_normal((len(space.nodes), 2))
-    expected = space.fronts.factorise(A).solve(b)
-    scaled = space.fronts.factorise(A).solve(b * [1, size])
+    expected = factorise(A, space.fronts).solve(b)
+    scaled = factorise(A, space.fronts).solve(b * [1, size])
     np.testing.assert_allclose(scaled, expected * [1, size], rtol=1e-5)
-    scaled = space.fronts.factorise(size**0.5 * A).solve(b)
+    scaled = factorise(size**0.5 * A, space.fronts).solve(b)
     np.testing.assert_allclose(scaled, expected / size**0.5, rtol=1e-5)
 
 
 def test_zero_columns():
     space = SPACES["linear"]
-    x = space.fronts.factorise(system(space)).solve(np.zeros((len(space.nodes), 2)))
+    x = factorise(system(space), space.fronts).solve(np.zeros((len(space.nodes), 2)))
     assert (x == 0).all()
 
 
@@ -80,7 +82,7 @@ def test_the_matrix_is_left_alone():
     space = SPACES["quadratic"]
     A = system(space)
     data, b = A.data.copy(), np.ones(len(space.nodes))
-    space.fronts.factorise(A).solve(b)
+    factorise(A, space.fronts).solve(b)
     np.testing.assert_array_equal(A.data, data)
     np.testing.assert_array_equal(b, 1)
 
@@ -91,4 +93,12 @@ def test_unsolvable_matrices_are_reported(value):
     A = system(space)
     A.data[:] = value
     with pytest.raises(np.linalg.LinAlgError, match="singular or not finite"):
-        space.fronts.factorise(A)
+        factorise(A, space.fronts)
+
+
+def test_another_pattern_is_refused():
+    space, other = SPACES["linear"], SPACES["quadratic"]
+    with pytest.raises(ValueError, match="A must have the pattern that the fronts were made for"):
+        factorise(system(other), space.fronts)
+    with pytest.raises(ValueError, match=r"with \d+ entries; got shape .* with 1026"):
+        factorise(diags_array(np.ones(len(space.nodes)), format="csr"), space.fronts)
