@@ -1,12 +1,11 @@
 """Two things timed in turn, and what one may say about their ratio."""
 
-import platform
 import time
-from pathlib import Path
 
 import numpy as np
-import scipy
 from threadpoolctl import threadpool_info
+
+from esfem_core.campaign import here
 
 
 def in_turn(peer, ours, repeats):
@@ -39,19 +38,6 @@ def summary(peer, ours):
 
 
 def machine():
-    """What the times were measured on."""
-    names = [
-        line.split(":", 1)[1].strip()
-        for line in Path("/proc/cpuinfo").read_text().splitlines()
-        if line.startswith("model name")
-    ]
-    return {
-        "processor": f"{names[0]}, {len(names)} cores seen" if names else platform.processor(),
-        "system": f"{platform.system()}, Python {platform.python_version()}",
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "BLAS": ", ".join(
-            sorted({f"{b['internal_api']} {b['architecture']}" for b in threadpool_info()})
-        ),
-        "threads": 1,
-    }
+    """What the times were measured on, and with which kernels of BLAS."""
+    kernels = {f"{blas['internal_api']} {blas['architecture']}" for blas in threadpool_info()}
+    return here() | {"BLAS": ", ".join(sorted(kernels)), "threads": 1}

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-__all__ = ["Experiment", "Row", "case", "provenance", "read", "run", "select"]
+__all__ = ["Experiment", "Row", "case", "here", "provenance", "read", "run", "select"]
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -138,7 +138,7 @@ def case(experiment: Experiment, parameters: Parameters) -> Row:
     """Compute one case here and now."""
     start = time.perf_counter()
     results = experiment.compute(**parameters)
-    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **_here()})
+    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **here()})
 
 
 def run(
@@ -235,8 +235,14 @@ def _truncate(path: Path) -> None:
 
 
 @cache
-def _here() -> dict[str, str]:
-    """Code, libraries and machine."""
+def here() -> dict[str, str]:
+    """Date, code, libraries and machine: where a result comes from.
+
+    Examples
+    --------
+    >>> list(here())
+    ['date', 'esfem_core', 'python', 'numpy', 'scipy', 'machine']
+    """
     from importlib.metadata import version
 
     package = Path(__file__).parent
