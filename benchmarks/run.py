@@ -137,7 +137,7 @@ def scaling():
     return rows
 
 
-def one_size(refinements, steps=12):
+def one_size(refinements, steps=24):
     """Print seconds per step and peak memory as JSON."""
     space = sphere(refinements)
     states = ec.evolve(space, ec.problems.expanding_sphere(), 3, 1e-3, (steps + 8) * 1e-3)
@@ -174,7 +174,7 @@ def factorisations(repeats=9):
     return rows
 
 
-def breakdown(steps=20):
+def breakdown(steps=40):
     """Where the time of a step goes, by timing the calls inside it."""
     rows = []
     for refinements in (4, 6):

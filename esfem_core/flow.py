@@ -31,7 +31,7 @@ def evolve(
     *,
     mass: str = "extrapolated",
     start: str | Sequence[State] | None = None,
-    solver: str = "lagged",
+    solver: str | Callable[[], Solver] = "lagged",
     allow_unstable: bool = False,
     perturbation: Perturbation | None = None,
 ) -> Iterator[State]:
@@ -77,10 +77,13 @@ def evolve(
         last one's time, a multiple of the step, is where the run goes on.
         Exact values at (p - 1) tau also restart the error of space there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
-    solver : {"lagged", "cholmod", "direct"}
-        "lagged": conjugate gradients, preconditioned with a factorisation kept for many steps,
-        to a relative residual of 1e-11. "cholmod": the same with the factorisation of CHOLMOD
-        (extra ``fast``). "direct": a sparse factorisation in every step.
+    solver : {"lagged", "cholmod", "direct"} or callable
+        "lagged": conjugate gradients to a relative residual of 1e-11, preconditioned with a
+        factorisation by :mod:`esfem_core.multifrontal` that is kept for many steps. "cholmod": the
+        same with the factorisation of CHOLMOD (extra ``fast``). "direct": a sparse factorisation in
+        every step. Otherwise a function without arguments that makes a
+        :class:`esfem_core.linear_solver.Solver`, called for each kind of system, such as
+        ``partial(LaggedSolver, rtol=1e-8, factorise=partial(factorise, fronts=space.fronts))``.
     allow_unstable : bool
         Let p >= 7 run; these methods are not zero-stable.
     perturbation : callable, optional
@@ -117,8 +120,10 @@ def evolve(
     n_steps = _count_steps(step, end, order)
     if mass not in MASSES:
         raise ValueError(f"mass must be one of {MASSES}, got {mass!r}")
-    if solver not in SOLVERS:
-        raise ValueError(f"solver must be one of {SOLVERS}, got {solver!r}")
+    if not (callable(solver) or solver in SOLVERS):
+        raise ValueError(
+            f"solver must be one of {SOLVERS} or a function that makes one, got {solver!r}"
+        )
     if solver == "cholmod" and find_spec("cholespy") is None:
         raise ImportError('solver="cholmod" needs the package cholespy: the extra "fast"')
     if start is None:
@@ -177,7 +182,11 @@ def _check_states(start: Sequence[State], order: int, step: float, n_steps: int)
         )
 
 
-def _solver_factory(space: SurfaceSpace, solver: str) -> Callable[[], Solver]:
+def _solver_factory(
+    space: SurfaceSpace, solver: str | Callable[[], Solver]
+) -> Callable[[], Solver]:
+    if callable(solver):
+        return solver
     if solver == "lagged":
         return partial(LaggedSolver, factorise=partial(multifrontal.factorise, fronts=space.fronts))
     order = space.elimination_order

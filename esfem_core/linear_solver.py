@@ -3,7 +3,8 @@
 A matrix of one time step is a good preconditioner for those of many later steps. So
 :class:`LaggedSolver` factorises rarely, and solves by conjugate gradients in between, to a
 residual it checks. :class:`DirectSolver` factorises every time. Both take the factorisation as a
-function from a matrix to something that solves with it.
+function from a matrix to something that solves with it: :func:`superlu`, :func:`cholmod`, or, on a
+dissected mesh, :func:`esfem_core.multifrontal.factorise`.
 """
 
 from collections.abc import Callable
@@ -58,8 +59,8 @@ def superlu(A: csr_array, order: NDArray[np.int64] | None = None) -> Factor:
     ----------
     A : (N, N) CSR array
     order : (N,) int array, optional
-        Order of elimination, see :func:`esfem_core.ordering.nested_dissection`; it makes solving
-        several times faster than the orders SuperLU finds itself.
+        Order of elimination, see :func:`esfem_core.dissection.dissect`; it makes solving several
+        times faster than the orders SuperLU finds itself.
 
     Raises
     ------
@@ -265,7 +266,7 @@ class LaggedSolver:
             r -= Ap
             rz_old = np.where(rz > 0, rz, 1.0)
             k, end = k + 1, excess()
-        self.iterations += k
+            self.iterations += 1
         if self._rate == 0 < k:
             self._rate = (start - end) / k
         elif k > 0:

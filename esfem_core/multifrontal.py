@@ -1,7 +1,7 @@
 """Sparse factorisations made of small dense matrices, in NumPy (Duff and Reid, 1983).
 
 The front of a part of a dissected mesh, a dense symmetric matrix on the nodes I that the part owns
-and the nodes B around it, is
+and the nodes B around it, is::
 
     F = [F_II  F_IB]     the entries of A that come in with I, and the S of the part's two halves
         [F_BI  F_BB]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
+from esfem_core.linear_solver import superlu
 from esfem_core.study import final
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
@@ -81,6 +82,21 @@ def test_solvers_agree(p):
     for name in "xvu":
         np.testing.assert_allclose(getattr(lagged, name), getattr(direct, name), atol=1e-8)
         np.testing.assert_allclose(getattr(cholmod, name), getattr(direct, name), atol=1e-8)
+
+
+def test_a_solver_of_ones_own():
+    made = []
+
+    def make():
+        made.append(ec.LaggedSolver(rtol=1e-6, price=7, factorise=superlu))
+        return made[-1]
+
+    own = final(ec.evolve(SPACE, wobble(), 2, 0.02, 0.4, solver=make))
+    direct = final(ec.evolve(SPACE, wobble(), 2, 0.02, 0.4, solver="direct"))
+    assert sum(solver.iterations for solver in made) > 20
+    for name in "xvu":
+        difference = abs(getattr(own, name) - getattr(direct, name)).max()
+        assert 1e-11 < difference < 1e-4
 
 
 def test_several_components_are_solved_like_single_ones():
