@@ -23,8 +23,12 @@ __all__ = ["BlockFactor", "factorise"]
 Array = NDArray[np.float64]
 
 
-def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike = np.float32) -> "BlockFactor":
+def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "BlockFactor":
     """Factorise a symmetric positive definite matrix.
+
+    The factor is computed in double precision. Solving with it is bound by memory: kept in single
+    precision, enough for a preconditioner of all but nearly singular matrices, it takes half the
+    time.
 
     Parameters
     ----------
@@ -32,9 +36,9 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike = np.float32) -> "B
         Of the pattern that the fronts were made for.
     fronts : Fronts
         Of a mesh, for example :attr:`esfem_core.SurfaceSpace.fronts`.
-    dtype : float type
-        In which the factor is kept. It is computed in double precision. Solving is bound by
-        memory: single precision, enough for a preconditioner, takes half the time.
+    dtype : float type, optional
+        In which the factor is kept. Default: single precision, unless that leaves a residual as
+        large as the right-hand side where the solution is constant; then double.
 
     Returns
     -------
@@ -63,6 +67,12 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike = np.float32) -> "B
             f"A must have the pattern that the fronts were made for, shape {(n, n)} with "
             f"{fronts.n_entries} entries; got shape {A.shape} with {len(A.data)}"
         )
+    if dtype is None:
+        # A single-precision solution has rough rounding errors of relative size 1e-7, which A
+        # multiplies by its largest eigenvalues, and constants, as a rule, by its smallest.
+        single, b = factorise(A, fronts, np.float32), A @ np.ones(n)
+        useful = np.linalg.norm(b - A @ single.solve(b)) < np.linalg.norm(b)
+        return single if useful else factorise(A, fronts, np.float64)
     scale = float(abs(A.data).max())
     if not 0 < scale < np.inf:
         raise np.linalg.LinAlgError(

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.assembly import DegenerateElementError, with_data
+from esfem_core.assembly import DegenerateElementError
 from esfem_core.bdf import delta, gamma
 from esfem_core.linear_solver import Solver
 from esfem_core.problem import Problem
+from esfem_core.scatter import with_data
 from esfem_core.state import EvolutionError, State
 from esfem_core.surface import Assembly, SurfaceSpace
 

@@ -13,12 +13,13 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.assembly import ElementTables, Metric, NodalSum, SparsePattern, chunks
+from esfem_core.assembly import ElementTables, Metric, chunks
 from esfem_core.dissection import dissect
 from esfem_core.fronts import Fronts
 from esfem_core.lagrange import tabulate
 from esfem_core.nodes import number_cells, place_nodes
 from esfem_core.quadrature import triangle_rule
+from esfem_core.scatter import NodalSum, SparsePattern
 from esfem_core.triangulation import check_triangulation
 
 __all__ = ["SurfaceSpace"]

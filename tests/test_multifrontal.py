@@ -45,7 +45,7 @@ def test_agrees_with_superlu(space, columns):
     x = factorise(A, space.fronts, dtype=np.float64).solve(b)
     assert x.shape == b.shape
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-13 * abs(expected).max())
-    single = factorise(A, space.fronts).solve(b)
+    single = factorise(A, space.fronts, np.float32).solve(b)
     assert single.dtype == np.float64
     np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5 * abs(expected).max())
 
@@ -102,3 +102,12 @@ def test_another_pattern_is_refused():
         factorise(system(other), space.fronts)
     with pytest.raises(ValueError, match=r"with \d+ entries; got shape .* with 1026"):
         factorise(diags_array(np.ones(len(space.nodes)), format="csr"), space.fronts)
+
+
+@pytest.mark.parametrize(("weight", "dtype"), [(1.0, np.float32), (1e-9, np.float64)])
+def test_nearly_singular_matrices_are_kept_in_double_precision(weight, dtype):
+    space = SPACES["quadratic"]
+    A, b = system(space, weight), np.random.default_rng(0).standard_normal(len(space.nodes))
+    np.testing.assert_array_equal(
+        factorise(A, space.fronts).solve(b), factorise(A, space.fronts, dtype).solve(b)
+    )

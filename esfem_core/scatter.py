@@ -1,0 +1,123 @@
+"""Sums of element entries into sparse matrices and nodal vectors, with patterns made once."""
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+__all__ = ["NodalSum", "SparsePattern", "with_data"]
+
+Array = NDArray[np.float64]
+
+
+def _sums(order: NDArray[np.int64], starts: NDArray[np.int64]) -> csr_array:
+    """Matrix whose row i adds up the entries order[starts[i]:starts[i + 1]] of a vector."""
+    ends = np.r_[starts, len(order)].astype(np.int32)
+    ones = np.ones(len(order))
+    return csr_array((ones, order.astype(np.int32), ends), shape=(len(starts), len(order)))
+
+
+class SparsePattern:
+    """Where the element entries go in a symmetric (N, N) CSR matrix; made once per space.
+
+    The entries of a chunk of elements are summed while they are in the cache. Those sums that no
+    other chunk adds to stand together, chunk by chunk; the others follow at the end.
+
+    Parameters
+    ----------
+    cells : (T, n) int array
+    pairs : (2, P) int array
+        Local index pairs a <= b.
+    n_nodes : int
+        N.
+    slices : sequence of slice
+        The chunks.
+
+    Attributes
+    ----------
+    pattern : (N, N) CSR array
+        Its data tell for each entry which of the sums it is.
+    """
+
+    def __init__(
+        self,
+        cells: NDArray[np.int64],
+        pairs: NDArray[np.int64],
+        n_nodes: int,
+        slices: Sequence[slice],
+    ) -> None:
+        # The entries of the upper triangle, and which of them each element entry adds to.
+        a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
+        keys, inverse, counts = np.unique(
+            np.minimum(a, b) * n_nodes + np.maximum(a, b), return_inverse=True, return_counts=True
+        )
+        sums = inverse.reshape(a.shape)
+        first, last = np.empty((2, len(keys)), dtype=np.int64)  # chunks that add to them
+        for i, c in enumerate(slices):
+            last[sums[:, c]] = i
+        for i, c in reversed(list(enumerate(slices))):
+            first[sums[:, c]] = i
+        alone = first == last
+        # Sums of equally many terms in a row spare the processor wrong guesses.
+        place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
+        self._shared = int(np.count_nonzero(alone))  # places from here on are shared
+        self._parts = [self._part(place[sums[:, c]]) for c in slices]
+
+        rows, columns = np.divmod(keys, n_nodes)
+        off = rows != columns
+        self.pattern = csr_array(
+            (
+                np.r_[place, place[off]],
+                (np.r_[rows, columns[off]], np.r_[columns, rows[off]]),
+            ),
+            shape=(n_nodes, n_nodes),
+        )
+        self.pattern.sort_indices()
+        self.pattern.has_canonical_format = True
+        self.pattern.indices = self.pattern.indices.astype(np.int32)
+        self.pattern.indptr = self.pattern.indptr.astype(np.int32)
+        self._n_sums = len(keys)
+
+    def _part(self, places: NDArray[np.int64]) -> tuple[csr_array, slice, NDArray[np.int64]]:
+        """What sums the entries of a chunk, and the places of its own and of the shared sums."""
+        order = np.argsort(places, axis=None, kind="stable")
+        used, starts = np.unique(places.ravel()[order], return_index=True)
+        own, shared = np.split(used, [np.searchsorted(used, self._shared)])
+        first = own[0] if len(own) else 0
+        return _sums(order, starts), slice(first, first + len(own)), shared
+
+    def matrices(self, chunks: Iterable[tuple[Array, Array]]) -> tuple[csr_array, csr_array]:
+        """Sum the element entries of two matrices, (P, C) each for every chunk, into CSR."""
+        sums = np.empty((2, self._n_sums))
+        sums[:, self._shared :] = 0.0
+        for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
+            n_own = own.stop - own.start
+            for out, values in zip(sums, entries, strict=True):
+                chunk_sums = gather @ values.ravel()
+                out[own] = chunk_sums[:n_own]
+                out[shared] += chunk_sums[n_own:]
+        M, A = (with_data(self.pattern, out.take(self.pattern.data)) for out in sums)
+        return M, A
+
+
+def with_data(pattern: csr_array, data: Array) -> csr_array:
+    """Return a matrix with the pattern of another, without the checks that making one costs."""
+    matrix = copy(pattern)
+    matrix.data = data
+    return matrix
+
+
+class NodalSum:
+    """Sum of element vectors into nodal vectors; made once per space."""
+
+    def __init__(self, cells: NDArray[np.int64], n_nodes: int) -> None:
+        nodes = cells.T.ravel()
+        order = np.argsort(nodes, kind="stable")
+        counts = np.bincount(nodes, minlength=n_nodes)
+        self._gather = _sums(order, np.cumsum(counts) - counts)
+
+    def __call__(self, entries: Array) -> Array:
+        """Sum m vectors of element entries, (m, n, T), into an (N, m) array."""
+        return np.column_stack([self._gather @ entry.ravel() for entry in entries])
