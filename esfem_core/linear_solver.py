@@ -139,9 +139,9 @@ class LaggedSolver:
         zero: a finite element solution then has its exact integral.
     price : int
         What a factorisation costs, in iterations; no solve takes more. It is made anew when the
-        iterations that its age has cost add up to that: where they grow linearly from solve to
-        solve, this makes the total cost least. The first solve with it tells what a solve takes
-        while it is new.
+        iterations that its age has cost add up to that: the least total cost where they grow
+        linearly from solve to solve, and never more than twice the least. What a solve would take
+        with a new one is judged by the first solve after it was made.
     factorise : callable
         From a matrix to its :class:`Factor`.
 
