@@ -56,10 +56,16 @@ def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> D
     points : (N, 3) float array
         Positions of the nodes, each of them in some element.
     part_size : int
+        No part is divided further than to one element.
 
     Returns
     -------
     Dissection
+
+    Raises
+    ------
+    ValueError
+        If `part_size` is less than 1.
 
     Examples
     --------
@@ -71,6 +77,8 @@ def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> D
     >>> np.bincount(tree.node_depth).tolist()[:3]  # on one great circle, on the next, ...
     [64, 62, 60]
     """
+    if part_size < 1:
+        raise ValueError(f"part_size must be at least 1, got {part_size!r}")
     divisions = np.log2(max(len(points) / part_size, 1))
     depth = int(min(np.ceil(divisions), np.log2(len(cells))))
     cell_part = _bisect(PREFERENCE * points[cells[:, :3]].mean(axis=1), depth)

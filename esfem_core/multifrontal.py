@@ -140,15 +140,11 @@ class BlockFactor:
         return x.T.reshape(b.shape)
 
 
-# In both, the blocks meet one right-hand side after the other: for so few of them a product with a
-# vector is faster than one with a matrix, except on processors with AVX-512.
-
-
 def _upwards(y: Array, batch: Batch, block: Array) -> None:
     """y_B -= W^T y_I."""
     count, k, _ = block.shape
-    y_I = y[:, batch.own].reshape(len(y), count, k).swapaxes(0, 1)[..., None]
-    change = (block[:, None, :, k:].swapaxes(2, 3) @ y_I).swapaxes(0, 1)
+    y_I = y[:, batch.own].reshape(len(y), count, k).swapaxes(0, 1)
+    change = (y_I @ block[:, :, k:]).swapaxes(0, 1)
     for row, values in zip(y, change, strict=True):
         np.add.at(row, batch.outer, values.ravel())
 
@@ -157,5 +153,7 @@ def _downwards(y: Array, batch: Batch, block: Array) -> None:
     """x_I = F_II^{-1} y_I - W x_B."""
     count, k, _ = block.shape
     front = y.take(batch.slots, axis=1).swapaxes(0, 1)[..., None]
+    # One right-hand side after the other: a product of a transposed matrix with few columns at once
+    # is slower, except with AVX-512.
     x_I = block[:, None] @ front
     y[:, batch.own] = x_I.swapaxes(0, 1).reshape(len(y), count * k)

@@ -70,8 +70,9 @@ def test_agrees_with_the_textbook_assembly(degree):
     x = space.nodes * [1.0, 1.3, 0.8] + 0.1 * np.sin(3 * space.nodes[:, [1, 2, 0]])
     M, A = space.mass_stiffness(x)
     M_naive, A_naive = naive.mass_stiffness(space, x)
-    np.testing.assert_allclose(M.toarray(), M_naive, rtol=0, atol=3e-13 * abs(M_naive).max())
-    np.testing.assert_allclose(A.toarray(), A_naive, rtol=0, atol=3e-13 * abs(A_naive).max())
+    rounding = 1e-13 if degree < 5 else 3e-13  # basis functions of degree 5 cancel more
+    np.testing.assert_allclose(M.toarray(), M_naive, rtol=0, atol=rounding * abs(M_naive).max())
+    np.testing.assert_allclose(A.toarray(), A_naive, rtol=0, atol=rounding * abs(A_naive).max())
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3, 4])

@@ -62,6 +62,12 @@ def test_no_more_parts_than_elements():
     assert 2 ** dissect(space.cells, space.nodes, part_size=1).depth == len(space.cells) == 8
 
 
+def test_parts_without_nodes_are_refused():
+    space = SPACES[0]
+    with pytest.raises(ValueError, match="part_size must be at least 1, got 0"):
+        dissect(space.cells, space.nodes, part_size=0)
+
+
 def test_pieces_that_do_not_touch():
     ball = ec.sphere("octahedron", 3)
     both = trimesh.util.concatenate([ball, ball.copy().apply_translation([5, 0, 0])])
