@@ -1,9 +1,12 @@
 """The README's example runs and is as good as it says."""
 
+import json
+import math
 import re
 from pathlib import Path
 
-README = (Path(__file__).parents[1] / "README.md").read_text("utf8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text("utf8")
 
 
 def test_the_example_runs(capsys):
@@ -16,6 +19,15 @@ def test_the_example_runs(capsys):
 
 
 def test_the_files_it_names_exist():
-    root = Path(__file__).parents[1]
     for target in re.findall(r"\]\(([^)#:]+)\)", README):
-        assert (root / target).exists(), target
+        assert (ROOT / target).exists(), target
+
+
+def test_the_speed_it_names_was_measured():
+    (low, high), *others = re.findall(
+        r"(\d+) to\s+(\d+)\s+times\s+as fast as with\s+NGSolve", README
+    )
+    measured = json.loads((ROOT / "book" / "data" / "performance.json").read_text())["step"]
+    ratios = [row["ratio"] for row in measured]
+    assert (int(low), int(high)) == (math.floor(min(ratios)), math.floor(max(ratios)))
+    assert not others
