@@ -8,7 +8,7 @@ dissected mesh, :func:`esfem_core.multifrontal.factorise`.
 """
 
 from collections.abc import Callable
-from math import ceil
+from math import ceil, log
 from typing import Protocol
 
 import numpy as np
@@ -230,28 +230,27 @@ class LaggedSolver:
         # rounding errors in A x, below which no residual can be brought.
         rounding = 4 * np.finfo(float).eps * A.data.max()
 
-        def excess(margin: float = 1.0) -> float:
-            """Logarithm of the largest quotient of a residual and its bound."""
+        def worst(margin: float = 1.0) -> float:
+            """Largest quotient of a squared residual and its bound."""
             rr = np.vecdot(r, r)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                value = np.log(rr / bound).max()
-                if not value <= 0:
-                    floor = (margin * rounding) ** 2 * np.vecdot(x, x)
-                    value = np.log(rr / np.maximum(bound, floor)).max()
-            return float(value / 2)
+            quotient = (rr / bound).max()
+            if not quotient <= 1:
+                floor = (margin * rounding) ** 2 * np.vecdot(x, x)
+                quotient = (rr / np.maximum(bound, floor)).max()
+            return float(quotient)
 
         r = b - _times(A, x)
         p, rz_old = np.zeros((len(r), 1)), np.ones(len(r))  # no direction yet
         row_sums = A @ np.ones(A.shape[0])
-        k, start = 0, excess()
+        k, start = 0, worst()
         end = start
         while True:
-            if end <= 0:
+            if end <= 1:
                 # A constant added to x makes the residual's sum zero, at little cost to its norm.
                 shift = (r.sum(axis=1) / row_sums.sum())[:, None]
                 x += shift
                 r -= shift * row_sums
-                if excess(margin=4) <= 0:
+                if worst(margin=4) <= 1:
                     break
             if k == self.price or not np.isfinite(end):
                 return False
@@ -265,12 +264,12 @@ class LaggedSolver:
             Ap *= alpha
             r -= Ap
             rz_old = np.where(rz > 0, rz, 1.0)
-            k, end = k + 1, excess()
+            k, end = k + 1, worst()
             self.iterations += 1
         if self._rate == 0 < k:
-            self._rate = (start - end) / k
+            self._rate = log(start / max(end, 1e-30)) / k
         elif k > 0:
-            self._lost += max(0, k - ceil(start / self._rate))
+            self._lost += max(0, k - ceil(log(start) / self._rate))
         return True
 
 
