@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -159,10 +160,10 @@ def factorisations(repeats=9):
         K, order = M + A, space.elimination_order
         b = np.random.default_rng(0).standard_normal((3, len(order))).T
         for name, make in (
-            ("SuperLU", lambda K, order=order: superlu(K, order)),
-            ("CHOLMOD", lambda K, order=order: cholmod(K, order)),
-            ("dense fronts, double", lambda K, space=space: factorise(K, space.fronts, float)),
-            ("dense fronts, single", lambda K, space=space: factorise(K, space.fronts)),
+            ("SuperLU", partial(superlu, order=order)),
+            ("CHOLMOD", partial(cholmod, order=order)),
+            ("dense fronts, double", partial(factorise, fronts=space.fronts, dtype=float)),
+            ("dense fronts, single", partial(factorise, fronts=space.fronts)),
         ):
             factor = make(K)
             residual = np.linalg.norm(K @ factor.solve(b) - b) / np.linalg.norm(b)

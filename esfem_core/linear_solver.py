@@ -206,9 +206,8 @@ class LaggedSolver:
         if not np.isfinite(squares).all():
             raise FloatingPointError("the right-hand side of a linear system is not finite")
         x[squares == 0] = 0.0
-        if self._lost >= self.price:
-            self._factor = None
-        if self._factor is None or not self._conjugate_gradients(A, rows, x, squares):
+        usable = self._factor is not None and self._lost < self.price
+        if not (usable and self._conjugate_gradients(A, rows, x, squares)):
             self._factor, self._lost, self._rate = self._factorise(A), 0, 0.0
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
