@@ -30,7 +30,7 @@ test: $(STAMP) ## solver, doctests and all notebooks
 	    --nbval-lax --nbval-current-env tests esfem_core book
 
 full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on
-	$(BIN)/python -m esfem_core.experiments
+	$(BIN)/python -m esfem_core.companion.experiments
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages

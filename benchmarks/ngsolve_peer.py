@@ -125,7 +125,7 @@ def evolve(space, order, step, n_steps, radius, solver="sparsecholesky"):
     t, x, u
         Time and nodal values.
     """
-    from esfem_core import bdf
+    from esfem_core.stepping import bdf
 
     peer = Peer(space)
     fes, ds = peer.fes, peer.ds

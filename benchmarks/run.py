@@ -1,4 +1,4 @@
-"""Measure assembly, time steps, scaling and memory, and write book/data/performance.json.
+"""Measure assembly, time steps, scaling and memory; keep them in the data of the companion.
 
 Run from the root of the repository, on a machine that does nothing else (about 25 minutes):
 
@@ -23,12 +23,11 @@ import textbook
 from timing import in_turn, machine, summary
 
 import esfem_core as ec
-from esfem_core.linear_solver import LaggedSolver, cholmod, superlu
-from esfem_core.multifrontal import factorise
+from esfem_core.elements import SurfaceSpace
+from esfem_core.solvers import LaggedSolver, cholmod, factorise, superlu
 from esfem_core.study import final
-from esfem_core.surface import SurfaceSpace
 
-RESULTS = Path("book/data/performance.json")
+RESULTS = Path("esfem_core/companion/data/performance.json")
 
 
 def sphere(refinements, degree=2):

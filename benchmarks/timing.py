@@ -5,7 +5,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from esfem_core.campaign import here
+from esfem_core.companion.campaign import here
 
 
 def in_turn(peer, ours, repeats):

@@ -1,26 +1,23 @@
 """Evolving surface finite elements in space, backward difference formulas in time."""
 
-from esfem_core import (
-    bdf,
-    defects,
-    errors,
+from esfem_core import errors, problems, study
+from esfem_core.elements import DegenerateElementError, SurfaceSpace
+from esfem_core.problems import Exact, Problem
+from esfem_core.solvers import DirectSolver, LaggedSolver
+from esfem_core.stepping import EvolutionError, State, bdf, evolve
+from esfem_core.surfaces import (
+    MeshingError,
+    Quality,
+    check_triangulation,
     exact_surfaces,
-    forms,
-    multipliers,
-    peano,
-    problems,
-    study,
+    from_level_set,
+    mesh_quality,
+    project_to_level_set,
+    sphere,
+    to_unit_sphere,
+    torus,
 )
-from esfem_core.assembly import DegenerateElementError
-from esfem_core.flow import evolve
-from esfem_core.level_set import project_to_level_set
-from esfem_core.linear_solver import DirectSolver, LaggedSolver
-from esfem_core.mesher import MeshingError, from_level_set
-from esfem_core.problem import Exact, Problem
-from esfem_core.quality import Quality, mesh_quality
-from esfem_core.state import EvolutionError, State
-from esfem_core.surface import SurfaceSpace
-from esfem_core.triangulation import check_triangulation, sphere, to_unit_sphere, torus
+from esfem_core.theory import defects, forms, multipliers, peano
 
 __all__ = [
     "DegenerateElementError",

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.lift import squared_differences
-from esfem_core.problem import Exact, Problem
-from esfem_core.state import State
-from esfem_core.surface import SurfaceSpace
+from esfem_core.elements import SurfaceSpace, squared_differences
+from esfem_core.problems import Exact, Problem
+from esfem_core.stepping import State
 
 __all__ = ["Errors", "Measure", "compare", "difference", "lifted", "seminorm", "time_norms"]
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from esfem_core import errors
-from esfem_core.flow import evolve
-from esfem_core.plotting import html_table
-from esfem_core.problem import Problem
-from esfem_core.state import State
-from esfem_core.surface import SurfaceSpace
+from esfem_core.elements import SurfaceSpace
+from esfem_core.problems import Problem
+from esfem_core.stepping import State, evolve
+from esfem_core.tables import html_table
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
 

@@ -1,9 +1,9 @@
 """Sphinx extension: the claims ledger and the errata page.
 
 The rows stand in ``book/claims.yml`` and ``book/errata.yml``; the measurements come from what the
-notebooks show when they run; the verdicts are computed by `esfem_core.claims`. A row without
-a measurement, a measurement without a row and an erratum that no check bears out are warnings, and
-so fail the build.
+notebooks show when they run; the verdicts are computed by `esfem_core.companion.claims`. A row
+without a measurement, a measurement without a row and an erratum that no check bears out are
+warnings, and so fail the build.
 """
 
 from __future__ import annotations
@@ -21,8 +21,15 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from esfem_core import claims
-from esfem_core.claims import CORRECTED, NOT_CONFIRMED, Claim, Measurement, anchor, read_html
+from esfem_core.companion import claims
+from esfem_core.companion.claims import (
+    CORRECTED,
+    NOT_CONFIRMED,
+    Claim,
+    Measurement,
+    anchor,
+    read_html,
+)
 
 LOG = logging.getLogger(__name__)
 PROOF_ONLY = "proof only"

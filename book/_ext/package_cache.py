@@ -16,7 +16,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
-INPUTS = ("esfem_core/**/*.py", "book/data/**/*", "requirements.lock")
+INPUTS = ("esfem_core/**/*.py", "esfem_core/companion/data/**/*", "requirements.lock")
 
 
 def digest(root: Path) -> str:

@@ -9,7 +9,7 @@ import yaml
 from bs4 import BeautifulSoup
 from conftest import HTML, ROOT
 
-from esfem_core.claims import anchor, read_html
+from esfem_core.companion.claims import anchor, read_html
 
 ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
 KNOWN = Path(__file__).with_name("verdicts.yml")

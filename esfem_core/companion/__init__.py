@@ -1,0 +1,9 @@
+"""The book's own machinery: claims and verdicts, long runs and their stored results."""
+
+from esfem_core.companion import campaign, claims, revolution
+
+__all__ = [
+    "campaign",
+    "claims",
+    "revolution",
+]

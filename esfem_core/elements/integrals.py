@@ -1,0 +1,163 @@
+"""Element integrals over Γ_h[x], for all elements at once.
+
+An element is the image of the reference triangle under Phi(xi, eta) = sum_a x_a phi_a(xi, eta).
+With its tangents t1 = d Phi/d xi, t2 = d Phi/d eta and the metric E = t1.t1, F = t1.t2, G = t2.t2,
+s = sqrt(EG - F^2) is the area density, and for functions on the element
+
+    grad u . grad w = (G u1 w1 - F (u1 w2 + u2 w1) + E u2 w2) / s^2,      u1 = d u/d xi, ...
+
+This is [N] 7.2 with the third column of its 3 x 3 differential, the normal, eliminated. Each
+integral is then (products of basis functions at the quadrature points) @ (metric factors), one
+small matrix product for many elements. Arrays here have the elements last.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from esfem_core.elements.lagrange import Basis
+from esfem_core.elements.quadrature import TriangleRule
+
+__all__ = ["DegenerateElementError", "ElementTables"]
+
+CHUNK = 12288  # points at which the metric is computed at a time: their arrays stay in the cache
+FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
+ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
+
+Array = NDArray[np.float64]
+
+
+class DegenerateElementError(ArithmeticError):
+    """An element has lost its area, or a nodal position is not finite.
+
+    Attributes
+    ----------
+    element : int
+        Row of ``space.cells``.
+    """
+
+    def __init__(self, message: str, element: int) -> None:
+        super().__init__(message)
+        self.element = element
+
+
+class Metric(NamedTuple):
+    """Nodes of some elements, and tangents and metric at their quadrature points.
+
+    Flat elements have Q = 1 here, whatever the number of quadrature points.
+    """
+
+    nodes: Array  # (3, n, C)
+    t1: Array  # (3, Q, C)
+    t2: Array  # (3, Q, C)
+    E: Array  # (Q, C)
+    F: Array
+    G: Array
+    s: Array  # area density
+    inverse: Array  # 1/s
+
+    def normals(self) -> Array:
+        """Unit normals, (3, Q, C)."""
+        n = np.empty_like(self.t1)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(self.t1[j], self.t2[k], out=n[i])
+            n[i] -= self.t1[k] * self.t2[j]
+        n *= self.inverse
+        return n
+
+
+class ElementTables:
+    """Basis functions, their derivatives and their products, tabulated once.
+
+    Parameters
+    ----------
+    basis : Basis
+        At the points of `rule`.
+    rule : TriangleRule
+    """
+
+    def __init__(self, basis: Basis, rule: TriangleRule) -> None:
+        phi, (d1, d2) = basis.values, basis.derivatives
+        w = rule.weights
+        a, b = np.triu_indices(phi.shape[1])
+        self.values = phi
+        self.tests = np.ascontiguousarray((phi * w[:, None]).T)  # (n, Q)
+        self.pairs = np.stack([a, b])  # local index pairs a <= b of the symmetric half
+        mass = (phi[:, a] * phi[:, b]).T * w  # (P, Q)
+        cross = -(d1[:, a] * d2[:, b] + d2[:, a] * d1[:, b])
+        stiffness = [c.T * w for c in (d1[:, a] * d1[:, b], cross, d2[:, a] * d2[:, b])]
+        if phi.shape[1] == 3:
+            # A flat element has one metric: one point stands for all.
+            d1, d2, mass = d1[:1], d2[:1], mass.sum(axis=1, keepdims=True)
+            stiffness = [c.sum(axis=1, keepdims=True) for c in stiffness]
+        self.gradients = np.vstack([d1, d2])  # (2Q, n)
+        self.mass = np.ascontiguousarray(mass)
+        self.stiffness = np.hstack(stiffness)  # (P, 3Q), for the factors G/s, F/s, E/s
+
+    def metric(self, nodes: Array, first: int = 0) -> Metric:
+        """Metric of elements with the given node positions.
+
+        Parameters
+        ----------
+        nodes : (3, n, C) float array
+        first : int
+            Number of the first of these elements, for error messages.
+
+        Raises
+        ------
+        DegenerateElementError
+        """
+        t1, t2 = np.split(self.gradients @ nodes, 2, axis=1)
+        # A degenerate or overflowing element is recognised and reported below.
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
+            s2 = E * G - F * F
+            smallest = (ROUNDING * np.abs(nodes[:, 0]).max()) ** 2
+            # One comparison for all; where it fails, element by element.
+            if not s2.min() > (FLATNESS / 2 * (E.max() + G.max()) + smallest) ** 2:
+                sound = s2 > (FLATNESS / 2 * (E + G) + smallest) ** 2
+                _report_first(~np.isfinite(s2), "is not finite", nodes, first)
+                _report_first(~sound, "is degenerate", nodes, first)
+            s = np.sqrt(s2)
+            return Metric(nodes, t1, t2, E, F, G, s, 1 / s)
+
+    def mass_stiffness(self, g: Metric) -> tuple[Array, Array]:
+        """Element mass and stiffness entries of the index pairs a <= b, each (P, C)."""
+        factors = np.empty((3, *g.s.shape))
+        for factor, entry in zip(factors, (g.G, g.F, g.E), strict=True):
+            np.multiply(entry, g.inverse, out=factor)
+        return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
+
+    def gradient(self, g: Metric, u: Array) -> Array:
+        """Surface gradient (m, 3, Q, C) of the nodal values u (m, n, C)."""
+        u1, u2 = np.split(self.gradients @ u, 2, axis=1)
+        square = g.inverse * g.inverse
+        c1, c2 = (g.G * u1 - g.F * u2) * square, (g.E * u2 - g.F * u1) * square
+        gradient: Array = c1[:, None] * g.t1
+        gradient += c2[:, None] * g.t2
+        return gradient
+
+
+def _dot(a: Array, b: Array) -> Array:
+    out: Array = a[0] * b[0]
+    out += a[1] * b[1]
+    out += a[2] * b[2]
+    return out
+
+
+def _report_first(bad: NDArray[np.bool_], what: str, nodes: Array, first: int) -> None:
+    """Raise for the first element with a bad quadrature point."""
+    if bad.any():
+        element = int(np.argmax(bad.any(axis=0)))
+        center = np.array2string(nodes[:, :3, element].mean(axis=1), precision=4)
+        raise DegenerateElementError(
+            f"element {first + element} near {center} {what}", first + element
+        )
+
+
+def chunks(n_cells: int, n_points: int) -> Iterator[slice]:
+    """Consecutive slices of elements with n_points points each."""
+    length = max(CHUNK // n_points, 1)
+    return (slice(i, min(i + length, n_cells)) for i in range(0, n_cells, length))

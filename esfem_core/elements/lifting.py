@@ -1,0 +1,94 @@
+"""Functions on a discrete surface, carried to the exact one by closest points ([N] 2.12)."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from esfem_core.elements.lagrange import tabulate
+from esfem_core.elements.quadrature import triangle_rule
+from esfem_core.elements.space import SurfaceSpace
+
+__all__ = ["squared_differences"]
+
+Array = NDArray[np.float64]
+
+# f'(0) by five points; their distance is measured in the reference triangle.
+DISTANCE = 0.002
+STENCIL = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
+
+
+def squared_differences(
+    space: SurfaceSpace,
+    x: Array,
+    closest: Callable[[Array], Array],
+    w: Array,
+    function: Callable[[Array], Array],
+    exactness: int | None = None,
+) -> tuple[Array, Array]:
+    r"""Integrals over Γ of ``|w^l - function|^2`` and ``|grad(w^l - function)|^2``.
+
+    w^l(p(y)) = w(y) is the lift of the finite element function w on Γ_h[x] to Γ ([N] 2.12). With
+    the element map Phi, the point p(Phi(xi)) runs through a piece of Γ, so both integrals are
+    taken over the reference triangle with the metric of the tangents d p(Phi(xi))/d xi_i, and
+    gradients are those on Γ. The derivatives of p(Phi) and of function(p(Phi)) are differences
+    of five points, exact for polynomials of degree 4; their error is below 1e-10 even on
+    coarse meshes.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+        Nodes near Γ.
+    closest : callable
+        p: closest points on Γ, (n, 3), of points, (n, 3).
+    w : (N, m) float array
+        Nodal values of m functions.
+    function : callable
+        Values, (n, m), of m functions at points, (n, 3), of Γ.
+    exactness : int, optional
+        Degree of the quadrature; 2k + 2 if None, since the difference behaves like a polynomial
+        of degree k + 1.
+
+    Returns
+    -------
+    (m,) float array, (m,) float array
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> x1 = space.nodes[:, :1]
+    >>> squares, gradients = squared_differences(
+    ...     space, space.nodes, ec.to_unit_sphere, x1, lambda y: 0 * y[:, :1]
+    ... )
+    >>> print(np.round([squares[0] / (4 * np.pi / 3), gradients[0] / (8 * np.pi / 3)], 4))
+    [0.9993 0.9993]
+    """
+    degree = space.degree
+    rule = triangle_rule(2 * degree + 2 if exactness is None else exactness)
+    nodes, local = np.asarray(x)[space.cells], np.asarray(w)[space.cells]
+
+    def on_surface(points: Array) -> tuple[Array, Array]:
+        """Closest points and the function there, for points of the reference triangle."""
+        y = closest((tabulate(degree, points).values @ nodes).reshape(-1, 3))
+        shape = (len(nodes), len(points), -1)
+        return y.reshape(shape), np.asarray(function(y)).reshape(shape)
+
+    def derivatives(direction: Array) -> list[Array]:
+        """Of the closest points and of the function there, by differences."""
+        samples = [on_surface(rule.points + n * DISTANCE * direction) for n, _ in STENCIL]
+        weights = [weight / DISTANCE for _, weight in STENCIL]
+        return [np.tensordot(weights, parts, 1) for parts in zip(*samples, strict=True)]
+
+    basis = tabulate(degree, rule.points)
+    error = basis.values @ local - on_surface(rule.points)[1]
+    (t1, f1), (t2, f2) = (derivatives(direction) for direction in np.eye(2))
+    e1, e2 = (d @ local - f for d, f in zip(basis.derivatives, (f1, f2), strict=True))
+    E, F, G = ((a * b).sum(axis=2) for a, b in ((t1, t1), (t1, t2), (t2, t2)))
+    s = np.sqrt(E * G - F * F)
+    gradients = (G[..., None] * e1 - 2 * F[..., None] * e2) * e1 + E[..., None] * e2 * e2
+    return (
+        np.einsum("q,tq,tqm->m", rule.weights, s, error**2),
+        np.einsum("q,tq,tqm->m", rule.weights, 1 / s, gradients),
+    )

@@ -1,0 +1,87 @@
+"""Numbers and places of the nodes that a triangulation gets when its degree is raised."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from esfem_core.elements.lagrange import node_indices
+
+__all__ = ["number_cells", "place_nodes"]
+
+Array = NDArray[np.float64]
+
+
+def number_cells(faces: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
+    """Number the nodes of each element: vertices, then nodes on edges, then interior nodes."""
+    n_vertices, n_cells, per_edge = int(faces.max()) + 1, len(faces), degree - 1
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, number = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    along = np.arange(per_edge)
+    # Both neighbours number an edge's nodes from its smaller vertex to its larger.
+    position = np.where((directed[:, 0] < directed[:, 1])[:, None], along, along[::-1])
+    on_edges = n_vertices + number.reshape(-1, 1) * per_edge + position
+    per_cell = per_edge * (per_edge - 1) // 2
+    inside = np.arange(n_cells * per_cell).reshape(n_cells, per_cell)
+    return np.hstack(
+        [
+            faces,
+            on_edges.reshape(n_cells, 3 * per_edge),
+            n_vertices + len(edges) * per_edge + inside,
+        ]
+    )
+
+
+def place_nodes(
+    vertices: Array,
+    faces: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    degree: int,
+    project: Callable[[Array], Array] | None,
+) -> Array:
+    """Put nodes at equal distances on the flat triangles, then project the new ones."""
+    barycentric = node_indices(degree) / degree
+    nodes = np.empty((int(cells.max()) + 1, 3))
+    nodes[cells] = barycentric @ vertices[faces]
+    nodes[: len(vertices)] = vertices
+    if project is None:
+        return nodes
+    new = nodes[len(vertices) :]
+    moved = np.asarray(project(new.copy()), dtype=float)
+    if moved.shape != new.shape:
+        raise ValueError(f"project must return an array of shape {new.shape}, got {moved.shape}")
+    if not np.isfinite(moved).all():
+        i = int(np.argmin(np.isfinite(moved).all(axis=1)))
+        raise ValueError(f"project returned {moved[i].tolist()} for the point {new[i].tolist()}")
+    nodes[len(vertices) :] = moved
+    return nodes
+
+
+def flat_triangles(cells: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
+    """Split each element of degree k into k² flat triangles between its nodes.
+
+    Parameters
+    ----------
+    cells : (T, (k+1)(k+2)/2) int array
+        Node numbers in VTK's Lagrange order.
+    degree : int
+        The degree k.
+
+    Returns
+    -------
+    (k² T, 3) int array
+        Triangles with the orientation of their element, the k² of an element in succession.
+
+    Examples
+    --------
+    >>> flat_triangles(np.array([[0, 1, 2, 3, 4, 5]]), 2).tolist()
+    [[0, 3, 5], [3, 4, 5], [3, 1, 4], [5, 4, 2]]
+    """
+    number = {(int(b), int(c)): i for i, (_, b, c) in enumerate(node_indices(degree))}
+    local = []
+    for c in range(degree):
+        for b in range(degree - c):
+            local.append([number[b, c], number[b + 1, c], number[b, c + 1]])
+            if b + c < degree - 1:
+                local.append([number[b + 1, c], number[b + 1, c + 1], number[b, c + 1]])
+    return cells[:, np.array(local)].reshape(-1, 3)

@@ -1,0 +1,10 @@
+"""What a person looks at: plots and moving surfaces."""
+
+from esfem_core.output.animation import surface_animation
+from esfem_core.output.plotting import convergence_plot, style
+
+__all__ = [
+    "convergence_plot",
+    "style",
+    "surface_animation",
+]

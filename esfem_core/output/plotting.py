@@ -1,0 +1,137 @@
+"""Pictures for notebooks: convergence plots and moving surfaces.
+
+matplotlib and plotly are needed (``pip install esfem-core[book]``); they are imported when a
+function is called, so that the solver does not depend on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+__all__ = ["convergence_plot", "style"]
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MAX_TICKS = 6
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+
+def style() -> None:
+    """Set up matplotlib for the book: SVG, readable sizes, colours everyone can tell apart.
+
+    Examples
+    --------
+    >>> style()
+    >>> import matplotlib
+    >>> matplotlib.rcParams["svg.hashsalt"]
+    'esfem'
+    """
+    import matplotlib as mpl
+    from cycler import cycler
+
+    mpl.rcParams.update(
+        {
+            "figure.figsize": (6.4, 4.0),
+            "figure.dpi": 100,
+            "font.size": 11,
+            "axes.grid": True,
+            "grid.alpha": 0.3,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.prop_cycle": cycler(color=_COLOURS),
+            "legend.frameon": False,
+            "legend.fontsize": 10,
+            "lines.linewidth": 1.6,
+            "image.cmap": "viridis",
+            "svg.hashsalt": "esfem",  # the same picture is the same file
+        }
+    )
+    try:
+        from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+        set_matplotlib_formats("svg", bbox_inches="tight", metadata={"Date": None})
+    except (ImportError, AttributeError):  # not in a notebook
+        pass
+
+
+def convergence_plot(
+    ax: Axes,
+    steps: ArrayLike,
+    errors: Mapping[str, ArrayLike],
+    order: float,
+    xlabel: str,
+) -> None:
+    r"""Draw errors against step or mesh size, both logarithmic, with a reference slope.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    steps : (n,) floats
+        Step or mesh sizes; at least two, all different.
+    errors : mapping of str to (n,) floats
+        One curve each. The legend adds the order observed: the slope of the least-squares line
+        through the logarithms.
+    order : float
+        Slope of the dashed reference line, drawn a little below the smallest curve.
+    xlabel : str
+        For example ``r"$\tau$"``.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ, there are fewer than two steps, or a number is not positive and finite.
+
+    Examples
+    --------
+    >>> import matplotlib.figure
+    >>> ax = matplotlib.figure.Figure().subplots()
+    >>> convergence_plot(ax, [0.1, 0.05], {"position": [1e-3, 1.25e-4]}, 3, "step")
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['position (order 3.00)', 'slope 3']
+    """
+    h = _positive("steps", steps)
+    curves = {label: _positive(label, e) for label, e in errors.items()}
+    if h.ndim != 1 or len(np.unique(h)) < 2 or any(e.shape != h.shape for e in curves.values()):
+        raise ValueError(
+            f"at least two different steps and as many errors are needed, got {h.shape} steps and "
+            f"errors of shapes {[e.shape for e in curves.values()]}"
+        )
+    for i, (label, e) in enumerate(curves.items()):
+        rate = np.polyfit(np.log(h), np.log(e), 1)[0]
+        ax.loglog(
+            h,
+            e,
+            color=_COLOURS[i % len(_COLOURS)],
+            marker=_MARKERS[i % len(_MARKERS)],
+            label=f"{label} (order {rate:.2f})",
+        )
+    ends = np.array([h.min(), h.max()])
+    base = 0.5 * min(float(np.min(e / h**order)) for e in curves.values())
+    ax.loglog(ends, base * ends**order, "--", color="0.4", label=f"slope {order:g}")
+    shown = h[:: -(-len(h) // MAX_TICKS)]
+    ax.set_xticks(shown, [_size_label(size) for size in shown])
+    ax.xaxis.minorticks_off()
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel("error")
+    ax.legend()
+
+
+def _size_label(size: float) -> str:
+    """Write 1/n where that is exact, else two digits."""
+    n = round(1 / size)
+    return f"1/{n}" if n > 1 and abs(n * size - 1) < 1e-9 else f"{size:.2g}"
+
+
+def _positive(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=float)
+    if not (np.all(np.isfinite(array)) and np.all(array > 0)):
+        raise ValueError(f"{name}: only positive finite numbers have logarithms, got {array}")
+    return array

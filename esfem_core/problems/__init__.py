@@ -1,0 +1,15 @@
+"""What is solved: the papers' own problems, and two with simple exact solutions."""
+
+from esfem_core.problems.prescribed import baseball_bat, oscillating_ellipsoid
+from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.spheres import expanding_sphere, growing_sphere, shrinking_sphere
+
+__all__ = [
+    "Exact",
+    "Problem",
+    "baseball_bat",
+    "expanding_sphere",
+    "growing_sphere",
+    "oscillating_ellipsoid",
+    "shrinking_sphere",
+]

@@ -1,0 +1,195 @@
+"""Spheres of radius r(t) with exact solutions: [N] 7.3, and two that reduce to one equation."""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.special import lambertw
+
+from esfem_core.problems.problem import Array, Exact, Problem, Source
+from esfem_core.surfaces import to_unit_sphere
+
+__all__ = ["expanding_sphere", "growing_sphere", "shrinking_sphere"]
+
+
+def expanding_sphere(coupling: str = "smooth", alpha: float = 1.0, beta: float = 1.0) -> Problem:
+    r"""[N] 7.3: a sphere of radius r(t) = 1 + sin(pi t)/2 with u = a(t) x1 x2 x3, a = exp(-t^2).
+
+    x1 x2 x3 is an eigenfunction of the Laplace-Beltrami operator for -12/r^2, so that
+    f = (5 r'/r + a'/a + 12/r^2) u. With c(t) = r' + 2 alpha r'/r^2 + 2 beta/r, the velocity law
+    holds for every g that equals c on the solution.
+
+    Parameters
+    ----------
+    coupling : {"smooth", "printed", "none"}
+        "smooth": g = c + (u - a x1 x2 x3), which is well posed. "printed": the thesis'
+        g = c u/(a x1 x2 x3), which is 0/0 on three great circles. "none": g = c.
+    alpha, beta : float
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    ValueError
+        If `coupling` is unknown.
+    """
+
+    def a(t: float) -> float:
+        return float(np.exp(-(t**2)))
+
+    def r(t: float) -> float:
+        return 1 + 0.5 * float(np.sin(np.pi * t))
+
+    def dr(t: float) -> float:
+        return 0.5 * np.pi * float(np.cos(np.pi * t))
+
+    def c(t: float) -> float:
+        return dr(t) + 2 * alpha * dr(t) / r(t) ** 2 + 2 * beta / r(t)
+
+    def f(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+        return (5 * dr(t) / r(t) - 2 * t + 12 / r(t) ** 2) * u
+
+    def smooth(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+        return c(t) + (u - exact_u(x, t))
+
+    def printed(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+        return c(t) * u / exact_u(x, t)
+
+    def none(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+        return np.full(u.shape, c(t))
+
+    def exact_u(x: Array, t: float) -> Array:
+        return a(t) * x[..., 0] * x[..., 1] * x[..., 2]
+
+    couplings = {"smooth": smooth, "printed": printed, "none": none}
+    if coupling not in couplings:
+        raise ValueError(f"coupling must be one of {sorted(couplings)}, got {coupling!r}")
+    return Problem(
+        u0=lambda x: exact_u(x, 0.0),
+        f=f,
+        g=couplings[coupling],
+        alpha=alpha,
+        beta=beta,
+        exact=_exact_sphere(r, dr, exact_u),
+    )
+
+
+def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> Problem:
+    r"""Regularised mean curvature flow of the unit sphere, carrying a constant amount of u.
+
+    f = g = 0. The radius obeys r' (1 + 2 alpha/r^2) = -2 beta/r, hence
+    r^2/2 + 2 alpha ln r = 1/2 - 2 beta t: for alpha > 0 the sphere never vanishes. Conservation
+    of mass gives u = u0/r^2.
+
+    Parameters
+    ----------
+    alpha, beta, u0 : float
+
+    Returns
+    -------
+    Problem
+        With alpha = 0, its exact solution ends at t = 1/(4 beta), and asking for a later time is a
+        ValueError.
+    """
+
+    def radius(t: float) -> float:
+        square = 1 - 4 * beta * t
+        if alpha == 0:
+            if square <= 0:
+                raise ValueError(f"the sphere vanishes at t = {1 / (4 * beta)}, asked for t = {t}")
+            return float(np.sqrt(square))
+        # y + ln(y) = w with y = r^2/(2 alpha): y is Lambert's function of e^w, which overflows.
+        w = square / (2 * alpha) - np.log(2 * alpha)
+        y = float(lambertw(np.exp(w)).real) if w < 700 else _lambert_of_exponential(w)
+        return float(np.sqrt(2 * alpha * y))
+
+    def speed(r: float) -> float:
+        return -2 * beta * r / (r * r + 2 * alpha)
+
+    return _sphere_problem(radius, speed, u0, alpha=alpha, beta=beta)
+
+
+def _lambert_of_exponential(w: float) -> float:
+    """Solve y + ln(y) = w for large w by Newton's method."""
+    y = w
+    for _ in range(20):
+        y -= (y + np.log(y) - w) / (1 + 1 / y)
+    return y
+
+
+def growing_sphere(
+    alpha: float = 1.0, beta: float = 1.0, delta: float = 1.0, u0: float = 4.0
+) -> Problem:
+    r"""A sphere that grows by what it carries: g = delta u, f = 0.
+
+    u = u0/r^2 by conservation of mass, and r' = (delta u0 - 2 beta r)/(r^2 + 2 alpha), which is
+    integrated with SciPy to a tolerance of 1e-13.
+
+    Parameters
+    ----------
+    alpha, beta, delta, u0 : float
+
+    Returns
+    -------
+    Problem
+    """
+
+    def speed(r: float) -> float:
+        return (delta * u0 - 2 * beta * r) / (r * r + 2 * alpha)
+
+    @lru_cache(maxsize=4096)
+    def radius(t: float) -> float:
+        if t == 0:
+            return 1.0
+        solution = solve_ivp(
+            lambda _, r: speed(r[0]) * np.ones(1), (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14
+        )
+        if not solution.success:
+            raise ValueError(f"no exact radius at t = {t}: {solution.message}")
+        return float(solution.y[0, -1])
+
+    def g(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+        return delta * u
+
+    return _sphere_problem(radius, speed, u0, alpha=alpha, beta=beta, g=g)
+
+
+def _sphere_problem(
+    radius: Callable[[float], float],
+    speed: Callable[[float], float],
+    u0: float,
+    *,
+    alpha: float,
+    beta: float,
+    g: Source | None = None,
+) -> Problem:
+    """A sphere of radius r(t), r' = speed(r), with u = u0/r^2 constant on it."""
+    return Problem(
+        u0=lambda x: np.full(len(x), float(u0)),
+        g=g,
+        alpha=alpha,
+        beta=beta,
+        exact=_exact_sphere(
+            radius,
+            lambda t: speed(radius(t)),
+            lambda x, t: np.full(x.shape[:-1], u0 / radius(t) ** 2),
+        ),
+    )
+
+
+def _exact_sphere(
+    radius: Callable[[float], float],
+    speed: Callable[[float], float],
+    u: Callable[[Array, float], Array],
+) -> Exact:
+    """The solution u on a sphere of radius r(t) that moves along its normals with r'(t)."""
+    return Exact(
+        lambda p, t: radius(t) * p,
+        lambda p, t: speed(t) * p,
+        u,
+        lambda x, t: radius(t) * to_unit_sphere(x),
+        lambda x, t: to_unit_sphere(x),
+    )

@@ -1,0 +1,8 @@
+"""Steps in time: linearly implicit BDF of order p."""
+
+from esfem_core.stepping import bdf
+from esfem_core.stepping.run import MASSES, evolve
+from esfem_core.stepping.scheme import Perturbation
+from esfem_core.stepping.state import EvolutionError, State
+
+__all__ = ["MASSES", "EvolutionError", "Perturbation", "State", "bdf", "evolve"]

@@ -1,0 +1,34 @@
+"""What a surface is: triangulations, level sets, exact surfaces.
+
+A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or returns one.
+"""
+
+from esfem_core.surfaces import exact_surfaces
+from esfem_core.surfaces.check import check_triangulation
+from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
+from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
+from esfem_core.surfaces.meshing import MeshingError, from_level_set
+from esfem_core.surfaces.quality import Quality, mesh_quality
+from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
+
+__all__ = [
+    "Edges",
+    "MeshingError",
+    "Quality",
+    "bisected_sphere",
+    "central_gradient",
+    "check_triangulation",
+    "collapse",
+    "descend",
+    "displaced",
+    "edges_of",
+    "exact_surfaces",
+    "flip",
+    "from_level_set",
+    "mesh_quality",
+    "project_to_level_set",
+    "sphere",
+    "split",
+    "to_unit_sphere",
+    "torus",
+]

@@ -1,0 +1,288 @@
+"""Triangulations of surfaces that are given by a function, [N] 7.1.
+
+The thesis takes its linear triangulations from DistMesh, a program for MATLAB: points that push
+each other apart like compressed springs, on a surface given by its distance function. This is
+the same idea for closed surfaces in NumPy: marching cubes for a first triangulation, then springs,
+edge flips, and Newton's method to keep the vertices on the surface.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from esfem_core.surfaces.check import check_triangulation
+from esfem_core.surfaces.edges import collapse, edges_of, flip, split
+from esfem_core.surfaces.level_set import central_gradient, checked_values, descend
+from esfem_core.surfaces.quality import Quality, mesh_quality
+
+__all__ = ["MeshingError", "from_level_set"]
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+Field = Callable[[Array], Array]
+
+# What is asked of the mesh; the rounds end when it holds and the mean ratio has settled.
+MIN_ANGLE = 30.0  # degrees
+MEAN_RATIO = 0.96  # of radii, 2 r_in/r_out
+SETTLED = 0.003  # smallest gain of the mean ratio in a round that is worth another
+SHORTEST, LONGEST = 0.6, 1.5  # shorter edges are collapsed, longer ones split; times h
+MAX_ROUNDS, STEPS = 40, 12
+ROUGH_ROUNDS = 5  # after these the mesh must at least follow the surface
+
+GRID = 1.14  # spacing of the first grid over h: marching cubes then gives about as many vertices
+MAX_POINTS = 2 * 10**7  # of the grid with half that spacing, which checks the topology
+MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surface at its corners
+
+
+class MeshingError(RuntimeError):
+    """The mesh did not become good enough; the message says what was reached, and where."""
+
+
+def from_level_set(
+    d: Field, bounds: ArrayLike, h: float, gradient: Field | None = None
+) -> trimesh.Trimesh:
+    """Triangulate the closed surface {d = 0} with edges of about the same length h.
+
+    A round consists of collapses of short edges, splits of long ones, and 12 steps in which edges
+    push their ends apart with a force proportional to 1.2 l - (length), l being the quadratic
+    mean of all lengths as in DistMesh; after each step vertices return to the surface, after every
+    fourth Delaunay's criterion flips edges. It ends when all angles are above 30 degrees, all
+    edges longer than 0.6 h, the mean ratio of radii is above 0.96, and a round has neither
+    collapsed nor split an edge and gained less than 0.003 in this mean.
+
+    Nothing is random: the same input gives the same mesh.
+
+    Parameters
+    ----------
+    d : callable
+        (n, 3) -> (n,), smooth, zero on the surface with nonzero gradient there, positive outside.
+        It need not be a distance.
+    bounds : (2, 3) floats
+        Lower and upper corner of a box with the surface inside.
+    h : float
+        Length of edges; the mean comes out between 0.8 h and 1.05 h.
+    gradient : callable, optional
+        (n, 3) -> (n, 3), of d; by central differences if None.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Closed and oriented outwards, vertices on the surface to 1e-13 times the largest
+        coordinate. For elements of higher degree give :class:`esfem_core.SurfaceSpace` also
+        ``project=project_to_level_set(d)``.
+
+    Raises
+    ------
+    ImportError
+        Without scikit-image (``pip install esfem-core[mesh]``).
+    ValueError
+        If the box holds no surface or cuts it, d is negative outside, or h is too large for the
+        topology or the curvature, or so small that the grid had more than 2e7 points.
+    MeshingError
+        If after 40 rounds the mesh is not as good as stated.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> def torus(x):
+    ...     return np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1, x[:, 2]) - 0.4
+    >>> tri = ec.from_level_set(torus, [[-1.5, -1.5, -0.5], [1.5, 1.5, 0.5]], h=0.2)
+    >>> tri.euler_number, bool(np.abs(torus(tri.vertices)).max() < 1e-12)
+    (0, True)
+    >>> space = ec.SurfaceSpace(tri, degree=2, project=ec.project_to_level_set(torus))
+    """
+    low, high = _check_box(bounds, h)
+    gradient = central_gradient(d) if gradient is None else gradient
+    x, faces = _first_mesh(d, low, high, h)
+    x = descend(d, gradient, x)
+    before = 0.0
+    for n in range(MAX_ROUNDS):
+        x, faces, changes = _even_out(x, faces, h)
+        x, faces = _relax(descend(d, gradient, x), faces, d, gradient, h)
+        x = descend(d, gradient, x)
+        tri = trimesh.Trimesh(x, faces, process=False)
+        reached = mesh_quality(tri)
+        good = (
+            reached.min_angle >= MIN_ANGLE
+            and reached.mean_ratio >= MEAN_RATIO
+            and reached.h_min >= SHORTEST * h
+        )
+        if good and not changes and reached.mean_ratio - before < SETTLED:
+            break
+        before = reached.mean_ratio
+        if n >= ROUGH_ROUNDS and not good:
+            _check_curvature(x, faces, gradient, h)
+    _check_curvature(x, faces, gradient, h)
+    if not good:
+        raise MeshingError(_shortcoming(tri, reached, h))
+    check_triangulation(tri)
+    return tri
+
+
+def _check_box(bounds: ArrayLike, h: float) -> tuple[Array, Array]:
+    box = np.asarray(bounds, dtype=float)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+        raise ValueError(
+            "bounds must be the lower and the upper corner of a box, [[x, y, z], [X, Y, Z]], "
+            f"got {box.tolist()}"
+        )
+    if not (np.isfinite(h) and h > 0):
+        raise ValueError(f"h must be a positive length, got {h!r}")
+    return box[0], box[1]
+
+
+def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Faces]:
+    """Marching cubes; the topology must be the same on a grid of half the spacing."""
+    cells = np.maximum(np.ceil((high - low) / (GRID * h)), 3).astype(int)
+    points = np.prod(2.0 * cells + 1)
+    if points > MAX_POINTS:
+        raise ValueError(
+            f"h = {h:g} is too small for this box: the grid would have {points:.0f} points "
+            f"(allowed: {MAX_POINTS}); take a tighter box or a larger h"
+        )
+    axes = [np.linspace(a, b, 2 * n + 1) for a, b, n in zip(low, high, cells, strict=True)]
+    spacing = (high - low) / (2 * cells)
+    values = _sample(d, axes)
+    _check_signs(values, axes)
+    x, faces = _march(values[::2, ::2, ::2], low, 2 * spacing)
+    found, finer = _topology(faces), _topology(_march(values, low, spacing)[1])
+    if found != finer:
+        raise ValueError(
+            f"h = {h:g} is too large for this surface: on a grid of spacing "
+            f"{2 * spacing.max():.3g} it has {_say(found)}, on one of half the spacing "
+            f"{_say(finer)}"
+        )
+    return x, faces
+
+
+def _sample(d: Field, axes: list[Array]) -> Array:
+    """Values of d on a grid, plane by plane."""
+    y, z = (a.ravel() for a in np.meshgrid(axes[1], axes[2], indexing="ij"))
+    shape = tuple(len(a) for a in axes)
+    values = np.empty(shape)
+    for plane, x in zip(values, axes[0], strict=True):
+        points = np.stack([np.full(len(y), x), y, z], axis=1)
+        plane[:] = checked_values(d, points, (), "d").reshape(shape[1:])
+    return values
+
+
+def _check_signs(values: Array, axes: list[Array]) -> None:
+    inside = values <= 0
+    if inside.all() or not inside.any():
+        raise ValueError(
+            f"there is no surface in the box: d is {'negative' if inside.all() else 'positive'} "
+            "on the whole grid (or h is too large to see it)"
+        )
+    inside[1:-1, 1:-1, 1:-1] = False
+    count = int(inside.sum())
+    if count == 0:
+        return
+    if count == values.size - np.prod(np.array(values.shape) - 2):
+        raise ValueError("d is negative on the boundary of the box: outside it must be positive")
+    index = np.argwhere(inside)[0]
+    point = [round(float(a[i]), 6) for a, i in zip(axes, index, strict=True)]
+    raise ValueError(
+        f"the surface is not closed in the box: d is {values[tuple(index)]:.3g} at the boundary "
+        f"point {point}, where it must be positive; take a larger box"
+    )
+
+
+def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Faces]:
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise ImportError(
+            "from_level_set needs scikit-image: pip install esfem-core[mesh]"
+        ) from error
+
+    # About distances, and none very small: vertices keep away from the grid's points.
+    steepness = np.sqrt(sum(g * g for g in np.gradient(values, *spacing)))
+    size = np.abs(values) / np.maximum(steepness, 1e-12 * np.abs(values).max())
+    distance = np.where(values > 0, 1.0, -1.0) * np.maximum(size, 0.1 * spacing.min())
+    x, faces, _, _ = marching_cubes(
+        distance, 0.0, spacing=tuple(spacing), gradient_direction="descent"
+    )
+    return x.astype(float) + low, faces.astype(np.int64)
+
+
+def _topology(faces: Faces) -> tuple[int, int]:
+    """Euler number and number of components of a closed triangulation."""
+    n = int(faces.max()) + 1
+    links = coo_array((np.ones(2 * len(faces)), faces[:, [0, 1, 1, 2]].reshape(-1, 2).T), (n, n))
+    return n - len(faces) // 2, int(connected_components(links, directed=False)[0])
+
+
+def _say(topology: tuple[int, int]) -> str:
+    euler, pieces = topology
+    return f"Euler number {euler} and {pieces} component{'s' if pieces > 1 else ''}"
+
+
+def _even_out(x: Array, faces: Faces, h: float) -> tuple[Array, Faces, int]:
+    """Collapse short edges and one edge at vertices in less than five triangles; split long ones.
+
+    New vertices are on edges, not on the surface. Also returns the number of changes.
+    """
+    e = edges_of(faces)
+    lengths = e.lengths(x)
+    few = np.bincount(faces.ravel())[e.ends].min(axis=1) < 5
+    priority = np.where(lengths < SHORTEST * h, 2 * h - lengths, 0)
+    priority = np.where(few, 10 * h - lengths, priority)
+    x, faces, collapses = collapse(x, faces, priority, LONGEST * h)
+    x, faces, splits = split(x, faces, LONGEST * h)
+    return x, faces, collapses + splits
+
+
+def _relax(x: Array, faces: Faces, d: Field, gradient: Field, h: float) -> tuple[Array, Faces]:
+    """Let edges push their ends apart, with flips; vertices end near the surface."""
+    for step in range(STEPS):
+        if step % 4 == 0:
+            flips = 1
+            while flips:
+                faces, flips = flip(x, faces)
+            i, j = edges_of(faces).ends.T
+        across = x[j] - x[i]
+        squares = np.einsum("ij,ij->i", across, across)
+        wanted = 1.2 * np.sqrt(squares.mean())
+        push = (0.2 * np.maximum(wanted / np.sqrt(squares) - 1, 0))[:, None] * across
+        move = np.stack(
+            [np.bincount(j, p, len(x)) - np.bincount(i, p, len(x)) for p in push.T], axis=1
+        )
+        g = gradient(x)
+        steepness = np.einsum("ij,ij->i", g, g)
+        move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g
+        size = np.sqrt(np.einsum("ij,ij->i", move, move))
+        x = x + np.minimum(1, 0.1 * h / np.maximum(size, 1e-3 * h))[:, None] * move
+        x -= (d(x) / steepness)[:, None] * g
+    return x, faces
+
+
+def _check_curvature(x: Array, faces: Faces, gradient: Field, h: float) -> None:
+    """Refuse triangles that the surface leaves at more than 60 degrees."""
+    a, b, c = x[faces.T]
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    g = gradient(x)
+    g /= np.linalg.norm(g, axis=1, keepdims=True)
+    cosine = np.einsum("ti,tji->tj", normals, g[faces]).min(axis=1)
+    worst = int(np.argmin(cosine))
+    if not cosine[worst] > MAX_TURN:
+        angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
+        raise ValueError(
+            f"h = {h:g} is too large for this surface: near {x[faces[worst, 0]].round(3).tolist()} "
+            f"it turns by {angle:.0f} degrees within a triangle (allowed: 60)"
+        )
+
+
+def _shortcoming(tri: trimesh.Trimesh, reached: Quality, h: float) -> str:
+    angles = np.degrees(tri.face_angles)
+    worst = tri.triangles_center[int(np.argmin(angles.min(axis=1)))]
+    return (
+        f"after {MAX_ROUNDS} rounds the smallest angle is {reached.min_angle:.1f} degrees (wanted: "
+        f"{MIN_ANGLE:g}), near {worst.round(3).tolist()}, and the mean ratio of radii "
+        f"{reached.mean_ratio:.3f} (wanted: {MEAN_RATIO:g}), with edges of {reached.h_min:.3g} to "
+        f"{reached.h_max:.3g}; a smaller h than {h:g} may help"
+    )

@@ -1,0 +1,102 @@
+"""How good the triangles of a mesh are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from esfem_core.tables import html_table
+
+__all__ = ["Quality", "mesh_quality"]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Shape and size of triangles; displays as a table in a notebook.
+
+    Attributes
+    ----------
+    vertices, triangles : int
+    euler : int
+        Euler number V - E + F: 2 (components - handles).
+    min_angle, max_angle : float
+        In degrees; 60 for equilateral triangles.
+    mean_ratio, min_ratio : float
+        Ratio of radii 2 r_in/r_out, 1 for equilateral triangles, 0 for degenerate ones.
+    h_min, h_mean, h_max : float
+        Lengths of the edges.
+    """
+
+    vertices: int
+    triangles: int
+    euler: int
+    min_angle: float
+    max_angle: float
+    mean_ratio: float
+    min_ratio: float
+    h_min: float
+    h_mean: float
+    h_max: float
+
+    @property
+    def uniformity(self) -> float:
+        """h_max/h_min."""
+        return self.h_max / self.h_min
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("vertices", str(self.vertices)),
+            ("triangles", str(self.triangles)),
+            ("Euler number", str(self.euler)),
+            ("smallest angle", f"{self.min_angle:.1f}°"),
+            ("largest angle", f"{self.max_angle:.1f}°"),
+            ("ratio of radii, mean", f"{self.mean_ratio:.3f}"),
+            ("ratio of radii, smallest", f"{self.min_ratio:.3f}"),
+            ("edges", f"{self.h_min:.3g} … {self.h_max:.3g}, mean {self.h_mean:.3g}"),
+            ("longest edge over shortest", f"{self.uniformity:.2f}"),
+        ]
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: {value}" for name, value in self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(["quality", ""], self._rows()).text
+
+
+def mesh_quality(tri: trimesh.Trimesh) -> Quality:
+    """Measure the triangles of a closed mesh.
+
+    Parameters
+    ----------
+    tri : trimesh.Trimesh
+
+    Returns
+    -------
+    Quality
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> q = mesh_quality(ec.sphere("icosahedron", 3))
+    >>> print(f"{q.euler} {q.min_angle:.1f} {q.mean_ratio:.3f} {q.uniformity:.2f}")
+    2 54.1 0.987 1.19
+    """
+    corners = np.asarray(tri.vertices, dtype=float)[np.asarray(tri.faces)]
+    sides = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # opposite to each corner
+    lengths = np.linalg.norm(sides, axis=2)
+    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    cosines = -(np.roll(sides, -1, axis=1) * np.roll(sides, 1, axis=1)).sum(axis=2)
+    angles = np.degrees(np.arctan2(double_area[:, None], cosines))
+    ratio = 4 * double_area**2 / (lengths.sum(axis=1) * lengths.prod(axis=1))
+    return Quality(
+        vertices=len(tri.vertices),
+        triangles=len(tri.faces),
+        euler=int(len(tri.vertices) - len(tri.faces) // 2),
+        min_angle=float(angles.min()),
+        max_angle=float(angles.max()),
+        mean_ratio=float(ratio.mean()),
+        min_ratio=float(ratio.min()),
+        h_min=float(lengths.min()),
+        h_mean=float(lengths.mean()),
+        h_max=float(lengths.max()),
+    )

@@ -1,0 +1,60 @@
+"""Tables for people."""
+
+from collections.abc import Iterable
+
+__all__ = ["Html", "html_table"]
+
+
+class Html:
+    """A piece of HTML that a notebook shows.
+
+    Parameters
+    ----------
+    text : str
+        The HTML.
+    alternative : str
+        What to show where HTML cannot be shown.
+    """
+
+    def __init__(self, text: str, alternative: str) -> None:
+        self.text = text
+        self.alternative = alternative
+
+    def __repr__(self) -> str:
+        return self.alternative
+
+    def _repr_html_(self) -> str:
+        return self.text
+
+
+def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind: str = "") -> Html:
+    """Make a table that scrolls where the page is too narrow for it.
+
+    Parameters
+    ----------
+    header : iterable
+        Heads of the columns.
+    rows : iterable of iterables
+        Cells, written with ``str``; they may hold HTML.
+    kind : str
+        Further CSS classes.
+
+    Returns
+    -------
+    Html
+
+    Examples
+    --------
+    >>> html_table(["p", "order"], [[1, "0.99"]])
+    p order
+    1 0.99
+    """
+    heads, lines = [str(cell) for cell in header], [[str(cell) for cell in row] for row in rows]
+    head = "".join(f'<th scope="col">{cell}</th>' for cell in heads)
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in line) + "</tr>" for line in lines)
+    css = f"esfem-table {kind}".strip()
+    return Html(
+        f'<div class="{css}"><table>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>",
+        "\n".join(" ".join(line) for line in [heads, *lines]),
+    )

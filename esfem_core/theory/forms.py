@@ -1,0 +1,356 @@
+r"""The bilinear forms m, a, q of [N] 5.2 and [LMV] 5 on discrete and on exact surfaces.
+
+On Γ_h[x], for finite element functions with nodal vectors w, z and a velocity v::
+
+    m = w^T M z = int w z,     a = w^T A z = int grad w . grad z,     q = int (div v) w z.
+
+On the exact surface Γ they act on lifts, w^l(p(y)) = w(y) with the closest-point map p. The
+integrals are pulled back to Γ_h[x], where Γ is only another weight: the area ratio for m, a
+tensor for a. So each form here is a matrix that :func:`mass` or :func:`stiffness` assembles.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from esfem_core.elements import SurfaceSpace, tabulate
+from esfem_core.surfaces.exact_surfaces import ExactSurface
+
+__all__ = [
+    "Lift",
+    "b",
+    "deformation",
+    "divergence",
+    "gradient_load",
+    "lift",
+    "mass",
+    "q",
+    "relative_norm",
+    "stiffness",
+]
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-9  # relative, of the eigenvalue that is iterated for
+DENSE = 1000  # up to this size all eigenvalues cost less than the iteration for one
+
+
+def mass(space: SurfaceSpace, x: Array, weight: Array | None = None) -> csr_array:
+    """Matrix of int weight w z over Γ_h[x].
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+        Node positions.
+    weight : (T, Q) float array, optional
+        At the quadrature points; 1, which gives the mass matrix of m, if None. With
+        ``lift(space, x, surface).ratio`` it is the matrix of m on the exact surface.
+
+    Returns
+    -------
+    (N, N) CSR array
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    >>> M = mass(space, space.nodes, space.quadrature_points(space.nodes)[..., 2] ** 2)
+    >>> print(f"{M.sum() / (4 * np.pi / 3):.3f}")
+    1.000
+    """
+    phi = tabulate(space.degree, space.rule.points).values
+    density = space.density(x) * space.rule.weights
+    if weight is not None:
+        density = density * _checked("weight", weight, density.shape)
+    products = (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
+    return _assemble(space, density @ products)
+
+
+def stiffness(space: SurfaceSpace, x: Array, tensor: Array | None = None) -> csr_array:
+    """Matrix of int grad w . tensor grad z over Γ_h[x].
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+        Node positions.
+    tensor : (T, Q, 3, 3) float array, optional
+        At the quadrature points; the identity, which gives the stiffness matrix of a, if None.
+        With ``lift(space, x, surface).tensor`` it is the matrix of a on the exact surface.
+
+    Returns
+    -------
+    (N, N) CSR array
+        Symmetric if the tensors are.
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape.
+    """
+    gradients = space.basis_gradients(x)
+    fluxes = gradients
+    if tensor is not None:
+        fluxes = gradients @ np.swapaxes(
+            _checked("tensor", tensor, (*gradients.shape[:2], 3, 3)), 2, 3
+        )
+    density = space.density(x) * space.rule.weights
+    T, Q, n, _ = gradients.shape
+    left = (gradients * density[..., None, None]).transpose(0, 2, 1, 3).reshape(T, n, 3 * Q)
+    right = fluxes.transpose(0, 2, 1, 3).reshape(T, n, 3 * Q)
+    return _assemble(space, left @ right.transpose(0, 2, 1))
+
+
+def divergence(space: SurfaceSpace, x: Array, v: Array) -> Array:
+    """Surface divergence of the field with nodal values v, (N, 3), on Γ_h[x]: (T, Q)."""
+    trace: Array = np.trace(space.gradient(x, v), axis1=-2, axis2=-1)
+    return trace
+
+
+def deformation(space: SurfaceSpace, x: Array, v: Array) -> Array:
+    """D(v) = tr(E) I - (E + E^T) with E the surface gradient of v: (T, Q, 3, 3).
+
+    [N] Lemma 3.1 (i). It says how fast a motion with velocity v changes the Dirichlet integral.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x, v : (N, 3) float arrays
+        Node positions and nodal velocities.
+
+    Returns
+    -------
+    (T, Q, 3, 3) float array
+    """
+    E = space.gradient(x, v)
+    trace = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
+    D: Array = trace * np.eye(3) - E - np.swapaxes(E, -1, -2)
+    return D
+
+
+def q(space: SurfaceSpace, x: Array, v: Array) -> csr_array:
+    """Matrix of q(x; v; w, z) = int (div v) w z, the rate of change of the mass matrix.
+
+    [N] 5.2: if the nodes move with velocities v, then d/dt M(x(t)) = q(x; v).
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x, v : (N, 3) float arrays
+        Node positions and nodal velocities.
+
+    Returns
+    -------
+    (N, N) CSR array
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> growth = q(space, space.nodes, 0.5 * space.nodes)
+    >>> bool(abs(growth - mass(space, space.nodes)).max() < 1e-15)
+    True
+    """
+    return mass(space, x, divergence(space, x, v))
+
+
+def b(space: SurfaceSpace, x: Array, v: Array) -> csr_array:
+    """Matrix of b(x; v; w, z) = int grad w . D(v) grad z, the rate of change of A(x).
+
+    [N] Lemma 3.1 (i): if the nodes move with velocities v, then d/dt A(x(t)) = b(x; v).
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x, v : (N, 3) float arrays
+        Node positions and nodal velocities.
+
+    Returns
+    -------
+    (N, N) CSR array
+    """
+    return stiffness(space, x, deformation(space, x, v))
+
+
+class Lift(NamedTuple):
+    """The closest-point map from Γ_h[x] to an exact surface Γ at the quadrature points.
+
+    Attributes
+    ----------
+    points : (T, Q, 3) float array
+        Closest points p.
+    normal : (T, Q, 3) float array
+        Normal of Γ at p.
+    distance : (T, Q) float array
+        Signed distance of the quadrature points from Γ.
+    ratio : (T, Q) float array
+        Area on Γ per area on Γ_h; [LMV]'s δ_h. The integral over Γ of a function f is that of
+        ``ratio * f(points)`` over Γ_h.
+    gradient : (T, Q, 3, 3) float array
+        Matrix that takes the gradient of w on Γ_h to the gradient of its lift on Γ; the inverse
+        of [LMV]'s B_h between the tangent planes, see (5.7).
+    """
+
+    points: Array
+    normal: Array
+    distance: Array
+    ratio: Array
+    gradient: Array
+
+    @property
+    def tensor(self) -> Array:
+        """(T, Q, 3, 3) tensor of a on Γ, pulled back to Γ_h."""
+        return self.ratio[..., None, None] * (np.swapaxes(self.gradient, 2, 3) @ self.gradient)
+
+
+def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
+    """Compute the closest-point map from Γ_h[x] to an exact surface, and its differential.
+
+    With d the distance, ν and ν_h the normals and W the Weingarten map at p::
+
+        ratio    = (ν_h . ν) / det(I + d W),
+        gradient = (I + d W) (I - ν_h ν^T / (ν_h . ν)).
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+        Node positions.
+    surface : ExactSurface
+
+    Returns
+    -------
+    Lift
+
+    Raises
+    ------
+    ValueError
+        If a quadrature point has no unique closest point.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere, exactness=10)
+    >>> onto = lift(space, space.nodes, ec.exact_surfaces.Sphere())
+    >>> print(f"{mass(space, space.nodes, onto.ratio).sum() / (4 * np.pi):.8f}")
+    1.00000000
+    """
+    near = surface.near(space.quadrature_points(x))
+    normal_h = space.normals(x)
+    cosine = np.sum(normal_h * near.normal, axis=-1)
+    stretch = np.eye(3) + near.distance[..., None, None] * near.weingarten
+    oblique = normal_h[..., :, None] * near.normal[..., None, :] / cosine[..., None, None]
+    return Lift(
+        near.points,
+        near.normal,
+        near.distance,
+        cosine / np.linalg.det(stretch),
+        stretch @ (np.eye(3) - oblique),
+    )
+
+
+def gradient_load(space: SurfaceSpace, x: Array, field: Array) -> Array:
+    """Load vector b_j = int_{Γ_h[x]} field . grad phi_j, by quadrature.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+    field : (T, Q, 3) float array
+        Vector field at the quadrature points. On the exact surface, a(u, phi_j^l) has the field
+        ``ratio * gradient^T (grad u)(points)`` of the :class:`Lift`.
+
+    Returns
+    -------
+    (N,) float array
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape.
+    """
+    density = space.density(x) * space.rule.weights
+    field = _checked("field", field, (*density.shape, 3)) * density[..., None]
+    entries = np.einsum("tqi,tqai->ta", field, space.basis_gradients(x))
+    load: Array = np.bincount(space.cells.ravel(), entries.ravel(), len(space.nodes)).astype(float)
+    return load
+
+
+def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> float:
+    r"""Smallest c with ``|w^T form z| <= c |w| |z|`` for all w and z.
+
+    It is the largest absolute value of the eigenvalues of ``form w = λ norm w``, with nine digits.
+
+    Parameters
+    ----------
+    form : (N, N) sparse array
+        Symmetric.
+    norm : (N, N) sparse array
+        Symmetric and positive definite: ``|w|^2 = w^T norm w``.
+    seminorm : bool
+        If True, `norm` vanishes on constants, as a stiffness matrix of a connected surface does,
+        and so does `form`.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    >>> M, A = space.mass_stiffness(space.nodes)
+    >>> print(f"{relative_norm(-3 * M, M):.6f} {relative_norm(2 * A, A, seminorm=True):.6f}")
+    3.000000 2.000000
+    """
+    if form.shape != norm.shape:
+        raise ValueError(f"form and norm must have one shape, got {form.shape} and {norm.shape}")
+    if seminorm:  # constants make no difference: functions that vanish at the first node will do
+        form, norm = form[1:, 1:], norm[1:, 1:]
+    if form.shape[0] <= DENSE:
+        return float(np.abs(eigh(form.toarray(), norm.toarray(), eigvals_only=True)).max())
+    inverse = LinearOperator(norm.shape, splu(norm.tocsc()).solve, dtype=float)
+    start = np.random.default_rng(0).normal(size=form.shape[0])
+    # The extreme eigenvalues are often close together: a wide subspace, no more digits than needed.
+    values = eigsh(
+        form,
+        1,
+        norm,
+        which="LM",
+        v0=start,
+        ncv=60,
+        tol=TOLERANCE,
+        return_eigenvectors=False,
+        Minv=inverse,
+    )
+    return float(abs(values[0]))
+
+
+def _assemble(space: SurfaceSpace, entries: Array) -> csr_array:
+    """Sum element matrices (T, n, n) into a CSR matrix."""
+    n = space.cells.shape[1]
+    rows, columns = np.repeat(space.cells, n, axis=1), np.tile(space.cells, n)
+    N = len(space.nodes)
+    matrix = coo_array((entries.ravel(), (rows.ravel(), columns.ravel())), shape=(N, N))
+    return csr_array(matrix)
+
+
+def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    values = np.asarray(values, dtype=float)
+    if values.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {values.shape}")
+    return values

@@ -1,0 +1,116 @@
+r"""Peano kernels: the errors of difference quotients and extrapolation as integrals.
+
+A linear functional that is zero for polynomials of degree less than m and looks back p steps is
+
+    E[y](t) = tau^m int_0^p kappa(theta) y^(m)(t - theta tau) dtheta
+
+with a kernel that belongs to the coefficients alone. From Taylor's formula with the remainder as
+an integral, kappa(theta) = E[(s + theta)_+^(m-1)]/(m-1)! at t = 0 for tau = 1: a piecewise
+polynomial with breaks at 0, 1, ..., p. [N] 6.2 and 6.3 and the proof of [LMV] Theorem 5.1 use it
+to bound defects in time; here it is computed.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import comb, factorial
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from esfem_core.stepping.bdf import delta_exact, gamma
+
+__all__ = ["bdf_kernel", "extrapolation_kernel"]
+
+
+def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
+    r"""Kernel of the error of the BDF quotient.
+
+    (1/tau) sum_j delta_j y(t - j tau) - y'(t)
+    = tau^q int_0^p kappa(theta) y^(q+1)(t - theta tau) dtheta
+
+    with q = p, or less for functions that have fewer derivatives. [LMV] in the proof of Theorem
+    5.1 writes the error with the opposite sign, so that its sigma is -kappa.
+
+    Parameters
+    ----------
+    p : int
+        Order and number of steps, 1 or more.
+    degree : int, optional
+        q = 1..p, which is also the degree of the pieces; p if None.
+
+    Returns
+    -------
+    scipy.interpolate.PPoly
+        kappa on [0, p], zero beyond. For q = p its integral is the error constant -1/(p+1).
+
+    Raises
+    ------
+    ValueError
+        If `p` is not a positive integer, or `degree` not one of 1, ..., p.
+
+    Examples
+    --------
+    >>> kappa = bdf_kernel(2)
+    >>> print(f"{kappa(0.5):.4f} {float(kappa.integrate(0, 2)):.4f}")
+    -0.3125 -0.3333
+    """
+    d = delta_exact(p)
+    q = _degree(degree, 1, p)
+    # E[(s + theta)_+^q] = sum_j delta_j (theta - j)_+^q - q theta^(q-1)
+    terms = [(c, j, q) for j, c in enumerate(d)]
+    return _truncated_powers([*terms, (Fraction(-q), 0, q - 1)], p, q)
+
+
+def extrapolation_kernel(p: int, degree: int | None = None) -> PPoly:
+    r"""Kernel of the error of extrapolation from p values.
+
+    sum_j gamma_j y(t - (j+1) tau) - y(t)
+    = tau^q int_0^p kappa(theta) y^(q)(t - theta tau) dtheta
+
+    Parameters
+    ----------
+    p : int
+        Number of values, 1 or more.
+    degree : int, optional
+        q = 1..p; p if None. The pieces have degree q - 1.
+
+    Returns
+    -------
+    scipy.interpolate.PPoly
+        kappa on [0, p], zero beyond. For q = p its integral is -1.
+
+    Raises
+    ------
+    ValueError
+        As for :func:`bdf_kernel`.
+
+    Examples
+    --------
+    >>> kappa = extrapolation_kernel(2)  # 2 y(t - tau) - y(t - 2 tau)
+    >>> print(f"{kappa(0.5):.4f} {float(kappa.integrate(0, 2)):.4f}")
+    -0.5000 -1.0000
+    """
+    g = [Fraction(int(c)) for c in gamma(p)]
+    q = _degree(degree, 1, p)
+    terms = [(c, j + 1, q - 1) for j, c in enumerate(g)]
+    return _truncated_powers([*terms, (Fraction(-1), 0, q - 1)], p, q - 1)
+
+
+def _degree(degree: int | None, low: int, p: int) -> int:
+    q = p if degree is None else degree
+    if q != int(q) or not low <= q <= p:
+        raise ValueError(f"degree must be one of {low}, ..., {p}, got {degree!r}")
+    return int(q)
+
+
+def _truncated_powers(terms: Sequence[tuple[Fraction, int, int]], p: int, degree: int) -> PPoly:
+    """Sum of c (theta - j)_+^n / degree! on [0, p], from exact coefficients around each break."""
+    coefficients = np.zeros((degree + 1, p))
+    for piece in range(p):
+        exact = [Fraction(0)] * (degree + 1)
+        for c, j, n in terms:
+            if j <= piece:
+                for m in range(n + 1):  # (theta - piece)^m
+                    exact[m] += c * comb(n, m) * Fraction(piece - j) ** (n - m)
+        coefficients[:, piece] = [float(e / factorial(degree)) for e in reversed(exact)]
+    return PPoly(coefficients, np.arange(p + 1.0), extrapolate=False)

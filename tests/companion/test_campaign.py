@@ -1,0 +1,87 @@
+"""Interrupted, resumed and failing campaigns."""
+
+import json
+
+import pytest
+
+from esfem_core.companion import campaign
+from esfem_core.companion.campaign import Experiment
+
+
+def compute(order, step):
+    if step == 0.125 and order == 2:
+        raise ArithmeticError("no convergence")
+    return {"error": step**order + 0.1}
+
+
+def chains(orders=(1, 2)):
+    return [[{"order": p, "step": 0.5**k} for k in range(5)] for p in orders]
+
+
+def settled(before, after):
+    return after["error"] > 0.5 * before["error"]
+
+
+def test_a_failing_case_ends_its_chain_and_no_other(tmp_path):
+    experiment = Experiment("demo", "", compute, chains())
+    outcomes = list(campaign.run([experiment], tmp_path, jobs=2))
+    assert sum(cases for *_, cases in outcomes) == 10
+    assert [str(o) for _, o, _ in outcomes if isinstance(o, Exception)] == ["no convergence"]
+    rows = campaign.read(tmp_path / "demo.jsonl")
+    assert len(campaign.select(rows, order=1)) == 5
+    assert len(campaign.select(rows, order=2)) == 3
+    assert rows[0].provenance["seconds"] >= 0
+    assert "source" in rows[0].provenance["esfem_core"]
+
+
+def test_a_chain_ends_when_it_is_enough(tmp_path):
+    experiment = Experiment("demo", "", compute, chains([1]), settled)
+    first = list(campaign.run([experiment], tmp_path, jobs=1))
+    steps = [row.parameters["step"] for row in campaign.read(tmp_path / "demo.jsonl")]
+    assert steps == [1, 0.5]  # 1.1 and 0.6: less than half is gained
+    assert sum(cases for *_, cases in first) == 5
+    again = list(campaign.run([experiment], tmp_path, jobs=1))
+    assert [outcome for _, outcome, _ in again] == [None, None]
+    assert sum(cases for *_, cases in again) == 5
+    assert len(campaign.read(tmp_path / "demo.jsonl")) == 2
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
+    experiment = Experiment("demo", "", compute, chains([1]))
+    for count, _ in enumerate(campaign.run([experiment], tmp_path, jobs=1)):
+        if count == 1:
+            break
+    path = tmp_path / "demo.jsonl"
+    with path.open("a") as file:
+        file.write('{"parameters": {"ord')  # cut off in the middle of a line
+    stored = len(campaign.read(path))
+    assert stored >= 2
+    outcomes = list(campaign.run([experiment], tmp_path, jobs=1))
+    assert [outcome is None for _, outcome, _ in outcomes] == [True] * stored + [False] * (
+        5 - stored
+    )
+    assert [json.loads(line)["parameters"]["step"] for line in path.read_text().splitlines()] == [
+        row["step"] for row in chains([1])[0]
+    ]
+
+
+def test_bad_input(tmp_path):
+    with pytest.raises(ValueError, match="jobs must be at least 1, but is 0"):
+        next(campaign.run([], tmp_path, jobs=0))
+    path = tmp_path / "demo.jsonl"
+    path.write_text("no json\n{}\n")
+    with pytest.raises(ValueError, match=r"demo\.jsonl is not a file of results"):
+        campaign.read(path)
+    assert campaign.read(tmp_path / "missing.jsonl") == []
+    with pytest.raises(ValueError, match="there are no rows"):
+        campaign.provenance([])
+
+
+def test_provenance_names_every_machine(tmp_path):
+    experiment = Experiment("demo", "", compute, chains([1]))
+    list(campaign.run([experiment], tmp_path, jobs=1))
+    rows = campaign.read(tmp_path / "demo.jsonl")
+    other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "A counting frame"})
+    text = campaign.provenance([*rows, other])
+    assert text.startswith("6 runs, 0.0 minutes in all, on A counting frame and ")
+    assert rows[0].provenance["machine"] in text

@@ -1,0 +1,91 @@
+"""The ledger's source, the notebooks' checks and the table of contents agree."""
+
+import ast
+import json
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
+ERRATA = yaml.safe_load((ROOT / "book/errata.yml").read_text("utf8"))
+NOTEBOOKS = sorted((ROOT / "book").glob("*.ipynb"))
+PAPERS = ["[N]", "[LMV]"]
+
+
+def pages():
+    """Return the pages of the table of contents."""
+    toc = yaml.safe_load((ROOT / "_toc.yml").read_text("utf8"))
+    chapters = [chapter["file"] for part in toc["parts"] for chapter in part["chapters"]]
+    return [toc["root"], *chapters]
+
+
+def claimed(notebook):
+    """Return the ids of the calls claim("<id>", ...) in a notebook."""
+    ids = []
+    for cell in json.loads(notebook.read_text("utf8"))["cells"]:
+        if cell["cell_type"] != "code":
+            continue
+        for node in ast.walk(ast.parse("".join(cell["source"]))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+                name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+                if name == "claim":
+                    assert node.args, f"{notebook.name}: the id is the first argument of claim"
+                    assert isinstance(node.args[0], ast.Constant), (
+                        f"{notebook.name}: the id of a claim is written out"
+                    )
+                    ids.append(node.args[0].value)
+    return ids
+
+
+def test_rows_are_complete():
+    for row in ROWS:
+        fields = {"id", "source", "where", "claim", "chapter", "kind"}
+        assert row["kind"] in ("check", "proof only"), row["id"]
+        if row["kind"] == "proof only":
+            fields.add("reason")
+        assert set(row) == fields, row["id"]
+        assert all(isinstance(text, str) and text.strip() for text in row.values()), row["id"]
+        assert row["source"] in PAPERS, row["id"]
+        assert row["id"].startswith(row["source"].strip("[]") + "-"), row["id"]
+
+
+def test_ids_are_unique():
+    assert [name for name, n in Counter(row["id"] for row in ROWS).items() if n > 1] == []
+
+
+def test_rows_follow_the_papers():
+    def place(row):
+        section = re.match(r"Section (\d+(?:\.\d+)*)\b", row["where"])
+        assert section, f"{row['id']}: `where` begins with the section"
+        return PAPERS.index(row["source"]), [int(n) for n in section[1].split(".")]
+
+    places = [place(row) for row in ROWS]
+    assert places == sorted(places)
+
+
+def test_every_check_stands_once_in_its_chapter_and_no_other_check_exists():
+    rows = {(row["chapter"], row["id"]): 1 for row in ROWS if row["kind"] == "check"}
+    calls = Counter((f"book/{nb.stem}", name) for nb in NOTEBOOKS for name in claimed(nb))
+    assert calls == rows
+
+
+@pytest.mark.parametrize("chapter", sorted({row["chapter"] for row in ROWS}))
+def test_every_chapter_is_in_the_book(chapter):
+    assert (ROOT / f"{chapter}.ipynb").exists()
+    assert chapter in pages()
+
+
+def test_every_page_of_the_contents_exists():
+    for page in pages():
+        assert any((ROOT / f"{page}{suffix}").exists() for suffix in (".ipynb", ".md")), page
+
+
+def test_errata_refer_to_checks():
+    checks = {row["id"] for row in ROWS if row["kind"] == "check"}
+    for entry in ERRATA:
+        assert set(entry) == {"where", "printed", "corrected", "claim"}, entry
+        assert entry["claim"] in checks, entry

@@ -1,0 +1,77 @@
+"""Nested dissection: every node separates what it should, and the order has little fill."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse.linalg import splu
+
+import esfem_core as ec
+from esfem_core.solvers import dissect
+
+SPACES = [
+    ec.SurfaceSpace(ec.sphere("octahedron", 5), 1),
+    ec.SurfaceSpace(ec.sphere("icosahedron", 4), 2, ec.to_unit_sphere),
+    ec.SurfaceSpace(ec.sphere("octahedron", 3), 4, ec.to_unit_sphere),
+]
+
+
+@pytest.mark.parametrize("space", SPACES, ids=str)
+def test_less_fill_than_colamd(space):
+    M, _ = space.mass_stiffness(space.nodes)
+    order = space.elimination_order
+    np.testing.assert_array_equal(np.sort(order), np.arange(len(space.nodes)))
+    ours = splu(M[order][:, order].T, permc_spec="NATURAL", options={"SymmetricMode": True})
+    theirs = splu(M.T, permc_spec="COLAMD", options={"SymmetricMode": True})
+    assert ours.nnz < 0.8 * theirs.nnz
+
+
+@pytest.mark.parametrize("space", SPACES, ids=str)
+def test_a_node_belongs_to_the_smallest_part_with_all_its_elements(space):
+    tree = dissect(space.cells, space.nodes, 20)
+    for node in np.random.default_rng(0).integers(0, len(space.nodes), 100):
+        around = tree.cell_part[(space.cells == node).any(axis=1)]
+        depth = next(
+            d for d in range(tree.depth, -1, -1) if len(np.unique(around >> (tree.depth - d))) == 1
+        )
+        assert (tree.node_depth[node], tree.node_part[node]) == (
+            depth,
+            around[0] >> (tree.depth - depth),
+        )
+
+
+@pytest.mark.parametrize("space", SPACES, ids=str)
+def test_parts_are_equal_to_one_element(space):
+    tree = dissect(space.cells, space.nodes, 20)
+    sizes = np.bincount(tree.cell_part)
+    assert len(sizes) == 2**tree.depth
+    assert np.ptp(sizes) <= 1
+
+
+def test_few_and_coinciding_nodes():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2)
+    order = dissect(space.cells, np.zeros_like(space.nodes)).order
+    np.testing.assert_array_equal(np.sort(order), np.arange(len(space.nodes)))
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    tree = dissect(space.cells, space.nodes)
+    assert tree.depth == 0
+    assert len(tree.order) == 6
+
+
+def test_no_more_parts_than_elements():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), 9)
+    assert 2 ** dissect(space.cells, space.nodes, part_size=1).depth == len(space.cells) == 8
+
+
+def test_parts_without_nodes_are_refused():
+    space = SPACES[0]
+    with pytest.raises(ValueError, match="part_size must be at least 1, got 0"):
+        dissect(space.cells, space.nodes, part_size=0)
+
+
+def test_pieces_that_do_not_touch():
+    ball = ec.sphere("octahedron", 3)
+    both = trimesh.util.concatenate([ball, ball.copy().apply_translation([5, 0, 0])])
+    space = ec.SurfaceSpace(both, 2)
+    tree = dissect(space.cells, space.nodes)
+    assert tree.depth > 1
+    assert (tree.node_depth > 0).all()  # nothing separates them

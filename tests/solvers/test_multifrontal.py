@@ -1,0 +1,111 @@
+"""Factorisation by dense fronts: solves like SuperLU, in double precision to rounding."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse import diags_array
+from scipy.sparse.linalg import spsolve
+
+import esfem_core as ec
+from esfem_core.solvers import Fronts, dissect, factorise
+
+
+def pieces():
+    ball = ec.sphere("octahedron", 2)
+    return trimesh.util.concatenate([ball, ball.copy().apply_translation([5, 0, 0])])
+
+
+SPACES = {
+    "linear": ec.SurfaceSpace(ec.sphere("octahedron", 4), 1),
+    "quadratic": ec.SurfaceSpace(ec.sphere("icosahedron", 3), 2, ec.to_unit_sphere),
+    "degree 5": ec.SurfaceSpace(ec.sphere("octahedron", 2), 5, ec.to_unit_sphere),
+    "torus": ec.SurfaceSpace(ec.torus(1.0, 0.3, 24, 8), 3),
+    "one part": ec.SurfaceSpace(ec.sphere("octahedron", 1), 1),
+    "two pieces": ec.SurfaceSpace(pieces(), 3),
+}
+
+
+@pytest.fixture(params=SPACES)
+def space(request):
+    return SPACES[request.param]
+
+
+def system(space, weight=10.0):
+    M, A = space.mass_stiffness(space.nodes * [1, 1.3, 0.8])
+    return weight * M + A
+
+
+@pytest.mark.parametrize("columns", [(), (1,), (3,)])
+def test_agrees_with_superlu(space, columns):
+    A = system(space)
+    b = np.random.default_rng(0).standard_normal((len(space.nodes), *columns))
+    expected = spsolve(A.tocsc(), b).reshape(b.shape)
+    x = factorise(A, space.fronts, dtype=np.float64).solve(b)
+    assert x.shape == b.shape
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-13 * abs(expected).max())
+    single = factorise(A, space.fronts, np.float32).solve(b)
+    assert single.dtype == np.float64
+    np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5 * abs(expected).max())
+
+
+@pytest.mark.parametrize("part_size", [1, 10, 1000, 10**6])
+def test_the_size_of_the_parts_does_not_matter(part_size):
+    space = SPACES["quadratic"]
+    A = system(space)
+    b = np.random.default_rng(0).standard_normal(len(space.nodes))
+    fronts = Fronts(dissect(space.cells, space.nodes, part_size), space.cells, A)
+    x = factorise(A, fronts, dtype=np.float64).solve(b)
+    np.testing.assert_allclose(A @ x, b, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e-30, 1e30, 1e200])
+def test_sizes_beyond_single_precision(size):
+    """The factor is linear in A and in every right-hand side, however small or large."""
+    space = SPACES["linear"]
+    A, b = system(space), np.random.default_rng(0).standard_normal((len(space.nodes), 2))
+    expected = factorise(A, space.fronts).solve(b)
+    scaled = factorise(A, space.fronts).solve(b * [1, size])
+    np.testing.assert_allclose(scaled, expected * [1, size], rtol=1e-5)
+    scaled = factorise(size**0.5 * A, space.fronts).solve(b)
+    np.testing.assert_allclose(scaled, expected / size**0.5, rtol=1e-5)
+
+
+def test_zero_columns():
+    space = SPACES["linear"]
+    x = factorise(system(space), space.fronts).solve(np.zeros((len(space.nodes), 2)))
+    assert (x == 0).all()
+
+
+def test_the_matrix_is_left_alone():
+    space = SPACES["quadratic"]
+    A = system(space)
+    data, b = A.data.copy(), np.ones(len(space.nodes))
+    factorise(A, space.fronts).solve(b)
+    np.testing.assert_array_equal(A.data, data)
+    np.testing.assert_array_equal(b, 1)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_unsolvable_matrices_are_reported(value):
+    space = SPACES["linear"]
+    A = system(space)
+    A.data[:] = value
+    with pytest.raises(np.linalg.LinAlgError, match="singular or not finite"):
+        factorise(A, space.fronts)
+
+
+def test_another_pattern_is_refused():
+    space, other = SPACES["linear"], SPACES["quadratic"]
+    with pytest.raises(ValueError, match="A must have the pattern that the fronts were made for"):
+        factorise(system(other), space.fronts)
+    with pytest.raises(ValueError, match=r"with \d+ entries; got shape .* with 1026"):
+        factorise(diags_array(np.ones(len(space.nodes)), format="csr"), space.fronts)
+
+
+@pytest.mark.parametrize(("weight", "dtype"), [(1.0, np.float32), (1e-9, np.float64)])
+def test_nearly_singular_matrices_are_kept_in_double_precision(weight, dtype):
+    space = SPACES["quadratic"]
+    A, b = system(space, weight), np.random.default_rng(0).standard_normal(len(space.nodes))
+    np.testing.assert_array_equal(
+        factorise(A, space.fronts).solve(b), factorise(A, space.fronts, dtype).solve(b)
+    )

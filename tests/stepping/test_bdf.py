@@ -1,0 +1,51 @@
+"""Order conditions of delta and gamma, exactly."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.stepping.bdf import delta_exact
+
+
+@pytest.mark.parametrize("p", range(1, 13))
+def test_delta_differentiates_polynomials_up_to_degree_p_exactly(p):
+    """sum_j delta_j (-j)^m = [m = 1]; degree p + 1 misses by the known error constant."""
+    d = delta_exact(p)
+    for m in range(p + 1):
+        assert sum(c * Fraction(-j) ** m for j, c in enumerate(d)) == (m == 1)
+    miss = sum(c * Fraction(-j) ** (p + 1) for j, c in enumerate(d))
+    assert abs(miss) == Fraction(np.prod(np.arange(1, p + 2, dtype=object)), p + 1)
+
+
+@pytest.mark.parametrize("p", range(1, 13))
+def test_gamma_extrapolates_polynomials_below_degree_p_exactly(p):
+    g = [Fraction(int(c)) for c in ec.bdf.gamma(p)]
+    for m in range(p):
+        assert sum(c * Fraction(-j - 1) ** m for j, c in enumerate(g)) == (m == 0)
+    assert sum(c * Fraction(-j - 1) ** p for j, c in enumerate(g)) != 0
+
+
+def test_published_coefficients():
+    np.testing.assert_array_equal(ec.bdf.delta(1), [1, -1])
+    np.testing.assert_allclose(ec.bdf.delta(3), [11 / 6, -3, 3 / 2, -1 / 3], rtol=1e-16)
+    np.testing.assert_allclose(
+        ec.bdf.delta(6), [147 / 60, -6, 15 / 2, -20 / 3, 15 / 4, -6 / 5, 1 / 6], rtol=2e-16
+    )
+    np.testing.assert_array_equal(ec.bdf.gamma(1), [1])
+    np.testing.assert_array_equal(ec.bdf.gamma(5), [5, -10, 10, -5, 1])
+
+
+@pytest.mark.parametrize(("p", "stable"), [*((p, True) for p in range(1, 7)), (7, False)])
+def test_zero_stability_ends_at_six(p, stable):
+    roots = np.roots(ec.bdf.delta(p))  # in 1/zeta
+    others = np.delete(roots, np.argmin(abs(roots - 1)))
+    assert (np.abs(others) < 1).all() == stable
+
+
+@pytest.mark.parametrize("p", [0, -1, 1.5])
+@pytest.mark.parametrize("function", [ec.bdf.delta, ec.bdf.gamma])
+def test_refuses(function, p):
+    with pytest.raises(ValueError, match="order p must be an integer >= 1"):
+        function(p)

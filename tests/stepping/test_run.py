@@ -1,0 +1,314 @@
+"""The time schemes: what they satisfy exactly, what they refuse, how they stop."""
+
+import sys
+from itertools import islice
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.solvers import superlu
+from esfem_core.study import final
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+
+
+def wobble(u0=lambda x: 1 + x[:, 0] * x[:, 1], **options):
+    """A coupled problem without symmetry and without an exact solution."""
+    return ec.Problem(u0=u0, g=lambda u, grad_u, x, t: 1 + u + x[..., 2] * np.cos(3 * t), **options)
+
+
+def residuals(space, problem, states, p):
+    """Plug a run into (2.19)-(2.21) written out as printed, and return relative residuals."""
+    tau = states[1].t - states[0].t
+    d, c = ec.bdf.delta(p), ec.bdf.gamma(p)
+    n = len(states) - 1
+
+    def extrapolated(name, m):
+        if m < p:  # the starting levels
+            return getattr(states[m], name)
+        return sum(c[j] * getattr(states[m - 1 - j], name) for j in range(p))
+
+    x, u = extrapolated("x", n), extrapolated("u", n)
+    M, A = space.mass_stiffness(x)
+    K = M + problem.alpha * A
+    uq, grad, points = space.evaluate(u), space.gradient(x, u), space.quadrature_points(x)
+    t = states[n].t
+    masses = [space.mass_stiffness(extrapolated("x", n - j))[0] for j in range(p + 1)]
+    change = sum(d[j] * masses[j] @ states[n - j].u for j in range(p + 1)) / tau
+    f = space.load(x, problem.f(uq, grad, points, t)) if problem.f else 0.0
+    g = space.load(x, problem.g(uq, grad, points, t)[..., None] * space.normals(x))
+    for terms in (
+        (change, A @ states[n].u, -f),
+        (K @ states[n].v, problem.beta * A @ states[n].x, -g),
+        (sum(d[j] * states[n - j].x for j in range(p + 1)) / tau, -states[n].v),
+    ):
+        yield np.abs(sum(terms)).max() / max(np.abs(term).max() for term in terms)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
+def test_every_step_solves_the_printed_equations(p):
+    problem = wobble(f=lambda u, grad_u, x, t: np.sin(u) + grad_u[..., 0] * t, alpha=0.7, beta=0.3)
+    states = list(ec.evolve(SPACE, problem, p, 0.02, 0.02 * (2 * p + 2), solver="direct"))
+    for n in (p, 2 * p + 2):
+        assert max(residuals(SPACE, problem, states[: n + 1], p)) < 1e-11
+
+
+@pytest.mark.parametrize("p", [1, 3, 5])
+@pytest.mark.parametrize("solver", ["lagged", "direct"])
+def test_mass_is_conserved_without_sources(p, solver):
+    """1' M(x~^n) u^n = 1' M(x^0) u^0 for f = 0."""
+    states = list(ec.evolve(SPACE, wobble(), p, 0.02, 0.4, start="euler", solver=solver))
+    gamma = ec.bdf.gamma(p)
+    start = [SPACE.mass_stiffness(s.x)[0].sum(axis=0) @ s.u for s in states[:p]]
+    # The p starting masses are equal up to the starting error; what is conserved is the
+    # combination that delta singles out, so give them exactly equal masses first.
+    scaled = [
+        ec.State(s.t, s.x, None, s.u * start[0] / m) for s, m in zip(states[:p], start, strict=True)
+    ]
+    states = list(ec.evolve(SPACE, wobble(), p, 0.02, 0.4, start=scaled, solver=solver))
+    for n in range(p, len(states)):
+        x = sum(gamma[j] * states[n - 1 - j].x for j in range(p))
+        total = SPACE.mass_stiffness(x)[0].sum(axis=0) @ states[n].u
+        assert total == pytest.approx(start[0], rel=1e-13)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
+def test_solvers_agree(p):
+    direct, lagged, cholmod = (
+        final(ec.evolve(SPACE, wobble(), p, 0.02, 0.4, solver=s))
+        for s in ("direct", "lagged", "cholmod")
+    )
+    for name in "xvu":
+        np.testing.assert_allclose(getattr(lagged, name), getattr(direct, name), atol=1e-8)
+        np.testing.assert_allclose(getattr(cholmod, name), getattr(direct, name), atol=1e-8)
+
+
+@pytest.mark.parametrize("coefficients", [{"alpha": 1e8}, {"diffusivity": 1e9}, {"alpha": 1e-8}])
+def test_solvers_agree_for_extreme_coefficients(coefficients):
+    direct, lagged = (
+        final(ec.evolve(SPACE, wobble(**coefficients), 2, 0.02, 0.2, solver=s))
+        for s in ("direct", "lagged")
+    )
+    for name in "xvu":
+        np.testing.assert_allclose(getattr(lagged, name), getattr(direct, name), atol=1e-7)
+
+
+def test_a_solver_of_ones_own():
+    made = []
+
+    def make():
+        made.append(ec.LaggedSolver(rtol=1e-6, price=7, factorise=superlu))
+        return made[-1]
+
+    own = final(ec.evolve(SPACE, wobble(), 2, 0.02, 0.4, solver=make))
+    direct = final(ec.evolve(SPACE, wobble(), 2, 0.02, 0.4, solver="direct"))
+    assert sum(solver.iterations for solver in made) > 20
+    for name in "xvu":
+        difference = abs(getattr(own, name) - getattr(direct, name)).max()
+        assert 1e-11 < difference < 1e-4
+
+
+def test_several_components_are_solved_like_single_ones():
+    """Two components with different diffusivities, each as if alone (g depends on the first)."""
+
+    def u0(x):
+        return np.column_stack([1 + x[:, 0], x[:, 1] * x[:, 2], x[:, 2]])
+
+    def problem(columns, diffusivity):
+        return ec.Problem(
+            u0=lambda x: u0(x)[:, columns],
+            f=lambda u, grad_u, x, t: -2 * u,
+            g=lambda u, grad_u, x, t: 1 + 0 * x[..., 0],
+            diffusivity=diffusivity,
+        )
+
+    several = final(ec.evolve(SPACE, problem([0, 1, 2], np.array([1.0, 0.1, 1.0])), 2, 0.05, 0.5))
+    for column, D in enumerate([1.0, 0.1, 1.0]):
+        alone = final(ec.evolve(SPACE, problem(column, D), 2, 0.05, 0.5))
+        np.testing.assert_allclose(several.u[:, column], alone.u, atol=1e-9)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4, 5, 6])
+@pytest.mark.filterwarnings("ignore:BDF6")
+def test_prescribed_motion_solves_the_printed_equation(p):
+    """[LMV] (3.1) on exact nodes."""
+
+    def motion(q, t):
+        return q * [1 + 0.3 * np.sin(t), 1, np.exp(-t)]
+
+    problem = ec.Problem(u0=lambda x: x[:, 0], f=lambda u, g, x, t: x[..., 0] * t, motion=motion)
+    tau = 0.05
+    states = list(ec.evolve(SPACE, problem, p, tau, tau * (p + 3), solver="direct"))
+    d, last = ec.bdf.delta(p), states[-1]
+    np.testing.assert_array_equal(last.x, motion(SPACE.nodes, last.t))
+    _, A = SPACE.mass_stiffness(last.x)
+    change = sum(
+        d[j] * SPACE.mass_stiffness(states[-1 - j].x)[0] @ states[-1 - j].u for j in range(p + 1)
+    )
+    f = SPACE.load(last.x, SPACE.quadrature_points(last.x)[..., 0] * last.t)
+    assert abs(change / tau + A @ last.u - f).max() < 1e-12 * abs(change / tau).max() * 10
+
+
+def test_times_and_starting_states():
+    problem = ec.problems.growing_sphere()
+    states = list(ec.evolve(SPACE, problem, 4, 0.1, 1.0))
+    assert [s.t for s in states] == [n * 0.1 for n in range(11)]
+    assert [s.v is None for s in states] == [True] * 4 + [False] * 7
+    for s in states[:4]:
+        np.testing.assert_array_equal(s.x, problem.exact.x(SPACE.nodes, s.t))
+        np.testing.assert_array_equal(s.u, problem.exact.u(s.x, s.t))
+    assert len(list(ec.evolve(SPACE, problem, 4, 0.1, 0.3))) == 4
+
+
+@pytest.mark.parametrize("p", [2, 3, 4, 5])
+def test_euler_start_has_order_p(p):
+    """Against many small steps on the same mesh, since the error of space would hide it.
+
+    The nodal interpolant of u0 is not quite smooth for the discrete Laplacian, and its stiff part
+    costs u a fraction of an order.
+    """
+    steps, errors = [0.05, 0.025], []
+    for step in steps:
+        end = (p - 1) * step
+        start = final(ec.evolve(SPACE, wobble(), p, step, end, start="euler", solver="direct"))
+        fine = ec.evolve(SPACE, wobble(), 5, step / 64, end, start="euler", solver="direct")
+        errors.append(ec.errors.difference(SPACE, start, final(fine)))
+    for name in ("x_l2", "u_l2"):
+        values = [getattr(error, name) for error in errors]
+        assert ec.study.observed_orders(steps, values)[0] > p - 0.6
+
+
+def test_yielded_arrays_are_never_written_to():
+    kept = []
+    for state in ec.evolve(SPACE, wobble(), 3, 0.05, 0.5):
+        kept.append((state, [a if a is None else a.copy() for a in (state.x, state.v, state.u)]))
+    for state, copies in kept:
+        for array, copy in zip((state.x, state.v, state.u), copies, strict=True):
+            np.testing.assert_array_equal(array, copy)
+    assert len({id(state.x) for state, _ in kept}) == len(kept)
+
+
+def test_starting_from_given_states_goes_on_where_they_end():
+    problem = wobble()
+    states = list(ec.evolve(SPACE, problem, 2, 0.05, 0.5))
+    again = list(ec.evolve(SPACE, problem, 2, 0.05, 0.5, start=states[:2]))
+    np.testing.assert_allclose(again[-1].u, states[-1].u, atol=1e-13)
+
+
+def test_starting_later():
+    """Steps are numbered on from the last starting state; a motion in time needs the right t."""
+    problem = ec.problems.baseball_bat()
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    states = list(ec.evolve(space, problem, 3, 0.1, 1.0, solver="direct"))
+    again = list(ec.evolve(space, problem, 3, 0.1, 1.0, start=states[4:7], solver="direct"))
+    assert [s.t for s in again] == [s.t for s in states[4:]]
+    np.testing.assert_array_equal(again[-1].x, states[-1].x)
+    np.testing.assert_allclose(again[-1].u, states[-1].u, atol=1e-15)
+
+
+def test_starting_states_must_be_a_step_apart():
+    states = list(ec.evolve(SPACE, wobble(), 2, 0.05, 0.5))
+    for start, end in [(states[2:4], 1.0), (states[0:6:5], 0.5), (states[7:9], 0.35)]:
+        with pytest.raises(ValueError, match=r"start must hold states at successive multiples of"):
+            ec.evolve(SPACE, wobble(), 2, 0.05 if end < 0.5 else 0.1, end, start=start)
+
+
+REFUSED = [
+    ({"order": 0}, "order must be an integer >= 1, got 0"),
+    ({"order": 7}, "BDF7 is not zero-stable.*allow_unstable=True"),
+    ({"step": 0.0}, "step must be positive and finite, got 0.0"),
+    ({"step": np.nan}, "step must be positive and finite"),
+    ({"end": -1.0}, "end must be finite and not negative"),
+    ({"end": 0.95}, r"end/step must be an integer, got 0\.95/0\.1"),
+    ({"order": 5, "end": 0.3}, r"end must be at least \(p - 1\) step = 0\.4 for p = 5, got 0\.3"),
+    ({"mass": "lumped"}, "mass must be one of .*'extrapolated', 'reassembled', 'updated'"),
+    ({"start": "cold"}, 'start must be "exact", "euler" or a sequence of states'),
+    ({"start": "exact"}, 'start="exact" needs a problem with an exact solution'),
+    ({"start": []}, "start must hold p = 2 states, got 0"),
+    ({"solver": "gmres"}, r"solver must be one of \('lagged', 'cholmod', 'direct'\)"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), REFUSED)
+def test_refused_at_the_call(change, message):
+    arguments = {"order": 2, "step": 0.1, "end": 1.0} | change
+    with pytest.raises(ValueError, match=message):
+        ec.evolve(SPACE, wobble(), **arguments)
+
+
+def test_six_warns_and_seven_runs_if_asked():
+    with pytest.warns(UserWarning, match="BDF6 has no multiplier"):
+        states = ec.evolve(SPACE, wobble(), 6, 0.05, 0.5)
+    assert np.isfinite(final(states).u).all()
+    assert len(list(islice(ec.evolve(SPACE, wobble(), 7, 0.05, 0.5, allow_unstable=True), 9))) == 9
+
+
+def collect_until_error(states):
+    collected = []
+    with pytest.raises(ec.EvolutionError) as error:
+        collected.extend(states)  # keeps what came before the error
+    for state in collected:
+        assert np.isfinite(state.x).all()
+        assert np.isfinite(state.u).all()
+    return collected, error.value
+
+
+def test_not_a_number_from_f_stops_with_the_place():
+    def f(u, grad_u, x, t):
+        return np.where((t > 0.27) & (x[..., 0] > 0.9), np.nan, u)
+
+    collected, error = collect_until_error(ec.evolve(SPACE, wobble(f=f), 2, 0.05, 1.0))
+    assert (error.step, len(collected)) == (6, 6)
+    assert error.t == pytest.approx(0.3)
+    assert "step 6, t = 0.3: f returned nan in element" in str(error)
+    x = SPACE.quadrature_points(collected[-1].x)[error.element]
+    assert x[:, 0].max() > 0.8
+
+
+def test_infinity_from_g_stops():
+    problem = ec.Problem(u0=lambda x: x[:, 0], g=lambda u, grad_u, x, t: u / np.maximum(0.5 - t, 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        _, error = collect_until_error(ec.evolve(SPACE, problem, 1, 0.1, 1.0))
+    assert "g returned" in str(error)
+    assert error.element is not None
+
+
+def test_overflow_stops():
+    problem = ec.Problem(u0=lambda x: 1 + 0 * x[:, 0], f=lambda u, grad_u, x, t: 1e3 * u**3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        collected, error = collect_until_error(ec.evolve(SPACE, problem, 2, 0.1, 10.0))
+    assert 2 <= error.step == len(collected)
+
+
+def test_a_sphere_that_shrinks_through_its_center_stops():
+    """G < 0 drives the surface through a point: elements turn over without losing their area."""
+    problem = ec.Problem(
+        u0=lambda x: x[:, 0], g=lambda u, grad_u, x, t: -8.0 + 0 * u, alpha=0, beta=0
+    )
+    collected, error = collect_until_error(ec.evolve(SPACE, problem, 2, 0.05, 5.0))
+    assert error.element is not None
+    assert len(collected) > 3
+    assert np.linalg.norm(collected[-1].x, axis=1).min() > 0
+
+
+def test_a_motion_that_flattens_the_surface_to_a_line_stops():
+    def motion(q, t):
+        return q * [1, max(1 - 2 * t, 0), max(1 - 2 * t, 0)]
+
+    problem = ec.Problem(u0=lambda x: x[:, 0], motion=motion)
+    collected, error = collect_until_error(ec.evolve(SPACE, problem, 2, 0.1, 1.0))
+    assert (error.step, len(collected)) == (5, 5)
+    assert "is degenerate" in str(error)
+
+
+def test_functions_of_the_wrong_shape_are_explained():
+    with pytest.raises(ValueError, match=r"f must return an array of shape \(128, 6\), got \(128,"):
+        final(ec.evolve(SPACE, wobble(f=lambda u, grad_u, x, t: grad_u), 1, 0.1, 0.5))
+
+
+def test_a_solver_that_is_not_installed_is_missed_at_the_call(monkeypatch):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1)
+    monkeypatch.setitem(sys.modules, "cholespy", None)
+    with pytest.raises(ImportError, match='needs the package cholespy: the extra "fast"'):
+        ec.evolve(space, ec.problems.growing_sphere(), 1, 0.1, 0.1, solver="cholmod")

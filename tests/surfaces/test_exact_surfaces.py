@@ -1,0 +1,73 @@
+"""Distance, normal and curvature of the exact surfaces: closed forms and difference quotients."""
+
+import numpy as np
+import pytest
+
+from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
+
+SURFACES = [Sphere(1.3), Torus(1.0, 0.4), Ellipsoid((1.4, 1.0, 0.7))]
+
+
+def points_near(surface, n=200):
+    """Points on the surface, and points off it by up to 0.15 along its normals."""
+    rng = np.random.default_rng(3)
+    start = rng.normal(size=(n, 3))
+    on = surface.closest(start / np.linalg.norm(start, axis=1, keepdims=True) * 1.1)
+    d = rng.uniform(-0.15, 0.15, n)
+    return on, d, on + d[:, None] * surface.near(on).normal
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_decomposition_returns_what_it_was_made_of(surface):
+    on, d, x = points_near(surface)
+    near = surface.near(x)
+    np.testing.assert_allclose(near.points, on, atol=1e-13)
+    np.testing.assert_allclose(near.distance, d, atol=1e-13)
+    np.testing.assert_allclose(near.normal, surface.near(on).normal, atol=1e-13)
+    np.testing.assert_allclose(surface.closest(x), near.points, atol=1e-15)
+
+
+def test_points_satisfy_the_equations():
+    x = points_near(SURFACES[1])[0]
+    np.testing.assert_allclose(np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1, x[:, 2]), 0.4, atol=1e-14)
+    x = points_near(SURFACES[2])[0]
+    np.testing.assert_allclose(((x / [1.4, 1.0, 0.7]) ** 2).sum(axis=1), 1, atol=1e-13)
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_weingarten_map_is_the_differential_of_the_normal(surface):
+    on, _, _ = points_near(surface, 40)
+    near = surface.near(on)
+    h = 1e-5
+    for i, e in enumerate(np.eye(3)):
+        quotient = (surface.near(on + h * e).normal - surface.near(on - h * e).normal) / (2 * h)
+        np.testing.assert_allclose(near.weingarten[:, :, i], quotient, atol=1e-8)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", near.weingarten, near.normal), 0, atol=1e-14)
+
+
+def test_mean_curvature_in_closed_form():
+    np.testing.assert_allclose(Sphere(2.0).near(np.eye(3)).mean_curvature, 1.0)
+    outer, inner = Torus(2.0, 0.5).near(np.array([[2.5, 0, 0], [1.5, 0, 0]])).mean_curvature
+    np.testing.assert_allclose([outer, inner], [2 + 1 / 2.5, 2 - 1 / 1.5])
+    a, b, c = 1.4, 1.0, 0.7  # at (a, 0, 0) the curvatures are a/b^2 and a/c^2
+    tip = Ellipsoid((a, b, c)).near(np.array([a, 0, 0])).mean_curvature
+    np.testing.assert_allclose(tip, a / b**2 + a / c**2)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sphere(0.0), "radius must be positive and finite, got 0.0"),
+        (lambda: Torus(1.0, 1.5), "a torus needs R > r, got R = 1.0 and r = 1.5"),
+        (lambda: Torus(1.0, float("nan")), "r must be positive and finite"),
+        (lambda: Ellipsoid((1.0, 2.0)), r"axes must be three numbers, got \(1.0, 2.0\)"),
+        (lambda: Ellipsoid((1.0, -2.0, 1.0)), "axes must be positive and finite"),
+        (lambda: Sphere().near(np.zeros((2, 3))), r"\[0.0, 0.0, 0.0\] is too far from the sphere"),
+        (lambda: Torus().near(np.array([[0, 0, 0.4]])), "too far from the torus"),
+        (lambda: Torus().near(np.array([[0, 1.0, 0]])), "too far from the torus"),
+        (lambda: Ellipsoid((2, 1, 1)).near(np.zeros(3)), "too far from the ellipsoid"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,93 @@
+"""Closest points on level sets."""
+
+import numpy as np
+import pytest
+from level_sets import ellipsoid, torus, two_rings, unit_sphere
+
+import esfem_core as ec
+from esfem_core.surfaces import central_gradient, descend
+
+NEAR = np.random.default_rng(0).standard_normal((200, 3))
+
+
+def torus_closest(x, r=0.4):
+    ring = np.hypot(x[:, 0], x[:, 1])[:, None]
+    core = np.hstack([x[:, :2] / ring, np.zeros((len(x), 1))])
+    return core + r * (x - core) / np.linalg.norm(x - core, axis=1, keepdims=True)
+
+
+def test_sphere_and_torus_have_closed_forms():
+    on_sphere = ec.to_unit_sphere(NEAR)
+    x = on_sphere * np.linspace(0.8, 1.2, len(NEAR))[:, None]
+    np.testing.assert_allclose(
+        ec.project_to_level_set(unit_sphere)(x), on_sphere, rtol=0, atol=1e-11
+    )
+    angle, tube = np.random.default_rng(1).uniform(0, 2 * np.pi, (2, 200))
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    x = ring * (1 + 0.5 * np.cos(tube))[:, None] + 0.5 * np.sin(tube)[:, None] * [0, 0, 1]
+    np.testing.assert_allclose(
+        ec.project_to_level_set(torus)(x), torus_closest(x), rtol=0, atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e3])
+def test_ellipsoid_against_the_problem_with_its_own_solver(scale):
+    """Not a distance, and d times a constant has the same surface."""
+    problem = ec.problems.oscillating_ellipsoid()
+    a = 1 + np.sin(1.0) / 4
+    x = problem.exact.x(ec.to_unit_sphere(NEAR), 1.0) * np.linspace(0.9, 1.1, 200)[:, None]
+    project = ec.project_to_level_set(lambda x: scale * ((x**2 / [a, 1, 1]).sum(axis=1) - 1))
+    np.testing.assert_allclose(project(x), problem.exact.closest(x, 1.0), rtol=0, atol=1e-10)
+
+
+def test_what_is_left_is_normal_and_the_given_gradient_is_used():
+    calls = []
+
+    def gradient(x):
+        calls.append(len(x))
+        return 2 * x / [4, 1, 0.49]
+
+    x = ec.to_unit_sphere(NEAR) * [2.05, 1.05, 0.73]
+    y = ec.project_to_level_set(ellipsoid, gradient)(x)
+    assert calls
+    n = ec.to_unit_sphere(gradient(y))
+    off = x - y
+    assert np.abs(ellipsoid(y)).max() < 1e-12
+    assert np.linalg.norm(off - (off * n).sum(axis=1, keepdims=True) * n, axis=1).max() < 1e-10
+
+
+def test_projection_leaves_the_surface_alone():
+    y = descend(two_rings, central_gradient(two_rings), np.array([[1.1, 1.45, 0.1], [0, 0.3, 0.4]]))
+    np.testing.assert_allclose(ec.project_to_level_set(two_rings)(y), y, rtol=0, atol=1e-13)
+
+
+def test_no_points_are_no_problem():
+    assert ec.project_to_level_set(torus)(np.empty((0, 3))).shape == (0, 3)
+
+
+def test_central_gradient():
+    x = NEAR[:20]
+    exact = np.stack([np.cos(x[:, 0]) * x[:, 1], np.sin(x[:, 0]), 2 * x[:, 2]], axis=1)
+    gradient = central_gradient(lambda x: np.sin(x[:, 0]) * x[:, 1] + x[:, 2] ** 2)
+    np.testing.assert_allclose(gradient(x), exact, rtol=0, atol=1e-9)
+
+
+REFUSED = {
+    "vanishing gradient": (unit_sphere, np.zeros((1, 3)), "gradient of d vanishes at"),
+    "no zero": (
+        lambda x: (x**2).sum(axis=1) + 1,
+        np.array([[0.3, 0.2, 0.1]]),
+        "does not reach the surface",
+    ),
+    "triple zero": (lambda x: unit_sphere(x) ** 3, np.ones((2, 3)), "vanishes on the surface"),
+    "shape": (lambda x: x, np.ones((2, 3)), r"d must return .* \(2,\) for 2 points, got \(2, 3\)"),
+    "not a number": (lambda x: np.log(-x[:, 0]), np.ones((2, 3)), r"d is nan at \[1\.0, 1\.0"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_refusals(name):
+    d, x, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        ec.project_to_level_set(d)(x)

@@ -1,0 +1,165 @@
+"""Meshes of level sets: topology, quality, area, and refusals that say why."""
+
+import builtins
+
+import numpy as np
+import pytest
+from level_sets import BOXES, EULER, ellipsoid, torus, two_rings, unit_sphere
+
+import esfem_core as ec
+from esfem_core.study import observed_orders
+
+BOX = BOXES[unit_sphere]
+
+
+def name(d):
+    return d.__name__
+
+
+@pytest.mark.parametrize(("d", "h"), [(d, h) for d in BOXES for h in (0.2, 0.12)])
+def test_topology_quality_and_place(d, h):
+    tri = ec.from_level_set(d, BOXES[d], h)
+    ec.check_triangulation(tri)
+    q = ec.mesh_quality(tri)
+    assert q.euler == tri.euler_number == EULER[d]
+    assert np.abs(d(np.array(tri.vertices))).max() < 1e-12
+    assert q.min_angle >= 30
+    assert q.mean_ratio >= 0.96
+    assert q.h_min >= 0.6 * h
+    assert q.h_max <= 1.6 * h
+    assert 0.8 * h < q.h_mean < 1.05 * h
+    gradient = np.array([d(tri.vertices + e) - d(tri.vertices - e) for e in 1e-6 * np.eye(3)]).T
+    assert (np.sum(gradient * tri.vertex_normals, axis=1) > 0).all()
+
+
+def areas(d, sizes, degree):
+    """Areas of Γ_h, and the lengths h_max."""
+    result = []
+    for h in sizes:
+        tri = ec.from_level_set(d, BOXES[d], h)
+        space = ec.SurfaceSpace(tri, degree, ec.project_to_level_set(d))
+        x = space.nodes
+        assert np.abs(d(x)).max() < 1e-12
+        M, _ = space.mass_stiffness(x)
+        result.append((ec.mesh_quality(tri).h_mean, M.sum()))
+    return np.transpose(result)
+
+
+@pytest.mark.parametrize(
+    ("d", "exact"), [(unit_sphere, 4 * np.pi), (torus, 4 * np.pi**2 * 0.4)], ids=["sphere", "torus"]
+)
+@pytest.mark.parametrize(("degree", "order"), [(1, 2), (2, 3), (3, 4)])
+def test_area_converges(d, exact, degree, order):
+    """Order k + 1, for even k one more."""
+    h, area = areas(d, [0.3, 0.2, 0.12], degree)
+    error = np.abs(area / exact - 1)
+    assert observed_orders(h[[0, -1]], error[[0, -1]])[0] > order - 0.15
+
+
+def test_volume_of_an_ellipsoid():
+    errors, h = [], []
+    for size in (0.3, 0.15):
+        tri = ec.from_level_set(ellipsoid, BOXES[ellipsoid], size)
+        errors.append(1 - tri.volume / (4 / 3 * np.pi * 1.4))
+        h.append(ec.mesh_quality(tri).h_mean)
+    assert min(errors) > 0
+    assert observed_orders(h, errors)[0] > 1.85
+
+
+def test_several_components_one_inside_another():
+    """A shell: the inner sphere's normals point to its centre."""
+    tri = ec.from_level_set(lambda x: np.abs(np.linalg.norm(x, axis=1) - 0.8) - 0.2, BOX, 0.2)
+    assert tri.euler_number == 4
+    assert tri.volume == pytest.approx(4 / 3 * np.pi * (1 - 0.6**3), rel=0.03)
+
+
+def test_the_same_input_gives_the_same_mesh():
+    first, second = (ec.from_level_set(torus, BOXES[torus], 0.2) for _ in range(2))
+    assert np.array_equal(first.vertices, second.vertices)
+    assert np.array_equal(first.faces, second.faces)
+
+
+def test_with_a_gradient_and_away_from_the_origin():
+    centre = np.array([30.0, -20.0, 10.0])
+    tri = ec.from_level_set(
+        lambda x: unit_sphere(x - centre),
+        np.array(BOX) + centre,
+        0.25,
+        gradient=lambda x: 2 * (x - centre),
+    )
+    np.testing.assert_allclose(np.linalg.norm(tri.vertices - centre, axis=1), 1, rtol=1e-13)
+
+
+def test_a_run_on_it():
+    """Mass is conserved on a mesh without any symmetry."""
+    tri = ec.from_level_set(two_rings, BOXES[two_rings], 0.25)
+    space = ec.SurfaceSpace(tri, 2, ec.project_to_level_set(two_rings))
+    problem = ec.Problem(u0=lambda x: 1 + x[:, 0], motion=lambda p, t: p)
+    states = list(ec.evolve(space, problem, order=2, step=0.1, end=1.0))
+    M, _ = space.mass_stiffness(space.nodes)
+    amounts = [(M @ s.u).sum() for s in states]
+    assert np.ptp(amounts) < 1e-7 * amounts[0]
+
+
+REFUSED = {
+    "no surface": ((unit_sphere, [[2, 2, 2], [3, 3, 3]], 0.2), "d is positive on the whole grid"),
+    "all inside": (
+        (unit_sphere, [[-0.2] * 3, [0.2] * 3], 0.2),
+        "d is negative on the whole grid",
+    ),
+    "cut": (
+        (unit_sphere, [[-1.3] * 3, [0.5, 1.3, 1.3]], 0.2),
+        r"not closed in the box: d is .* at the boundary point \[0\.5, .*larger box",
+    ),
+    "inside out": ((lambda x: -unit_sphere(x), BOX, 0.2), "outside it must be positive"),
+    "h negative": ((unit_sphere, BOX, -1.0), r"h must be a positive length, got -1\.0"),
+    "h nan": ((unit_sphere, BOX, np.nan), "h must be a positive length, got nan"),
+    "h tiny": ((unit_sphere, BOX, 1e-4), r"h = 0\.0001 is too small for this box"),
+    "h and the hole": (
+        (lambda x: torus(x, r=0.9), [[-2.1, -2.1, -1.2], [2.1, 2.1, 1.2]], 0.9),
+        "h = 0.9 is too large for this surface: on a grid of spacing .* Euler number 2 and 1 comp",
+    ),
+    "h and the curvature": (
+        (two_rings, BOXES[two_rings], 0.4),
+        r"h = 0\.4 is too large .* turns by \d+ degrees within a triangle",
+    ),
+    "h and a thin tube": (
+        (lambda x: torus(x, r=0.05), [[-1.2, -1.2, -0.2], [1.2, 1.2, 0.2]], 0.1),
+        r"h = 0\.1 is too large",
+    ),
+    "a number for a box": ((unit_sphere, 1.0, 0.2), "bounds must be the lower and the upper"),
+    "corners swapped": ((unit_sphere, BOX[::-1], 0.2), "bounds must be the lower and the upper"),
+    "double zero": ((lambda x: unit_sphere(x) ** 2, BOX, 0.2), "there is no surface in the box"),
+    "triple zero": (
+        (lambda x: unit_sphere(x) ** 3, BOX, 0.2),
+        "its gradient vanishes on the surface",
+    ),
+    "zero gradient": ((unit_sphere, BOX, 0.2, lambda x: 0 * x), "gradient of d vanishes"),
+    "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "turns by .* degrees"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refusals(case):
+    arguments, message = REFUSED[case]
+    with pytest.raises(ValueError, match=message):
+        ec.from_level_set(*arguments)
+
+
+def test_what_cannot_be_reached_is_said():
+    """Six vertices cannot have edges of length three on the unit sphere."""
+    with pytest.raises(ec.MeshingError, match=r"after 40 rounds .* with edges of 1\.4"):
+        ec.from_level_set(unit_sphere, BOX, 3.0)
+
+
+def test_without_scikit_image(monkeypatch):
+    original = builtins.__import__
+
+    def without(module, *arguments, **options):
+        if module.startswith("skimage"):
+            raise ImportError(module)
+        return original(module, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ImportError, match=r"pip install esfem-core\[mesh\]"):
+        ec.from_level_set(unit_sphere, BOX, 0.3)

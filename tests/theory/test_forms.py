@@ -1,0 +1,148 @@
+"""Forms: known matrices, rates of change as difference quotients, lifts in a second way."""
+
+import naive
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
+from esfem_core.theory import forms
+
+RNG = np.random.default_rng(5)
+
+
+def torus_space(degree, n=10, exactness=None):
+    return ec.SurfaceSpace(ec.torus(1.0, 0.4, 2 * n, n), degree, Torus().closest, exactness)
+
+
+def close(A, B, tolerance=1e-13):
+    return abs(A - B).max() <= tolerance * abs(B).max()
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_without_weights_they_are_mass_and_stiffness(degree):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), degree, ec.to_unit_sphere)
+    M, A = naive.mass_stiffness(space, space.nodes)
+    assert close(forms.mass(space, space.nodes).toarray(), M)
+    assert close(forms.stiffness(space, space.nodes).toarray(), A)
+    tensor = np.broadcast_to(2 * np.eye(3), (len(space.cells), len(space.rule.weights), 3, 3))
+    assert close(forms.stiffness(space, space.nodes, tensor).toarray(), 2 * A)
+
+
+def test_a_tensor_acts_on_the_second_argument():
+    space = torus_space(2)
+    x, w, z = space.nodes, *RNG.normal(size=(2, len(space.nodes)))
+    tensor = RNG.normal(size=(len(space.cells), len(space.rule.weights), 3, 3))
+    flux = np.einsum("tqij,tqj->tqi", tensor, space.gradient(x, z))
+    np.testing.assert_allclose(
+        forms.stiffness(space, x, tensor) @ z, forms.gradient_load(space, x, flux), atol=1e-12
+    )
+    direct = np.sum(space.gradient(x, w) * flux, axis=-1)
+    np.testing.assert_allclose(
+        w @ forms.gradient_load(space, x, flux), space.load(x, direct).sum(), atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_q_and_b_are_rates_of_change(degree):
+    space = torus_space(degree)
+    x, v = space.nodes, 0.1 * RNG.normal(size=space.nodes.shape)
+    s = 1e-5
+    (M1, A1), (M0, A0) = space.mass_stiffness(x + s * v), space.mass_stiffness(x - s * v)
+    assert close((M1 - M0) / (2 * s), forms.q(space, x, v), 1e-6)
+    assert close((A1 - A0) / (2 * s), forms.b(space, x, v), 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tri", "surface", "area"),
+    [
+        (ec.sphere("icosahedron", 1), Sphere(), 4 * np.pi),
+        (ec.torus(1.0, 0.4, 20, 8), Torus(), 1.6 * np.pi**2),
+    ],
+)
+def test_lifted_mass_is_exact_on_constants(tri, surface, area):
+    """The area of Γ without any error of the geometry."""
+    for degree in (1, 2):
+        space = ec.SurfaceSpace(tri, degree, surface.closest, exactness=16)
+        onto = forms.lift(space, space.nodes, surface)
+        assert forms.mass(space, space.nodes, onto.ratio).sum() == pytest.approx(area, rel=1e-7)
+
+
+@pytest.mark.parametrize("surface", [Sphere(), Torus(), Ellipsoid((1.3, 1.0, 0.8))])
+def test_lifted_gradients_are_those_of_the_surface(surface):
+    """Of w(y) = F(p(y)) the gradient on Γ_h leads back to the tangential gradient of F."""
+    if isinstance(surface, Torus):
+        tri = ec.torus(1.0, 0.4, 20, 8)
+    else:
+        tri = ec.sphere("icosahedron", 1)
+        tri.vertices = surface.closest(tri.vertices)
+    space = ec.SurfaceSpace(tri, 2, surface.closest)
+    x = space.nodes
+    onto, y, h = forms.lift(space, x, surface), space.quadrature_points(x), 1e-5
+
+    def F(p):
+        return np.sin(p[..., 0]) + p[..., 1] * p[..., 2]
+
+    shifts = h * np.eye(3)[:, None, None]
+    ambient = np.stack(F(surface.closest(y + shifts)) - F(surface.closest(y - shifts)), axis=-1)
+    ambient /= 2 * h
+    normal_h = space.normals(x)
+    on_discrete = ambient - np.sum(ambient * normal_h, axis=-1, keepdims=True) * normal_h
+    p = onto.points
+    exact = np.stack([np.cos(p[..., 0]), p[..., 2], p[..., 1]], axis=-1)
+    exact -= np.sum(exact * onto.normal, axis=-1, keepdims=True) * onto.normal
+    lifted = np.einsum("tqij,tqj->tqi", onto.gradient, on_discrete)
+    np.testing.assert_allclose(lifted, exact, atol=1e-8)
+
+
+def test_lifted_ratio_is_that_of_the_lifted_tangents():
+    space, surface = torus_space(1), Torus()
+    x, h = space.nodes, 1e-5
+    onto = forms.lift(space, x, surface)
+    y, a, b, c = space.quadrature_points(x), *np.moveaxis(x[space.cells], 1, 0)
+    tangents = [
+        (surface.closest(y + h * t[:, None]) - surface.closest(y - h * t[:, None])) / (2 * h)
+        for t in (b - a, c - a)
+    ]
+    area = np.linalg.norm(np.cross(*tangents), axis=-1)
+    np.testing.assert_allclose(onto.ratio, area / space.density(x), rtol=1e-8)
+
+
+def test_relative_norm_of_dense_and_large_matrices_agree(monkeypatch):
+    monkeypatch.setattr(forms, "DENSE", 100)
+    space = torus_space(2, 5)
+    x, v = space.nodes, RNG.normal(size=space.nodes.shape)
+    M, A = space.mass_stiffness(x)
+    assert len(x) > forms.DENSE
+    for form, norm, seminorm in ((forms.q(space, x, v), M, False), (forms.b(space, x, v), A, True)):
+        large = forms.relative_norm(form, norm, seminorm)
+        cut = int(seminorm)
+        dense = np.linalg.eigvals(
+            np.linalg.solve(norm.toarray()[cut:, cut:], form.toarray()[cut:, cut:])
+        )
+        assert large == pytest.approx(np.abs(dense).max(), rel=1e-9)
+
+
+def test_relative_norm_is_attained_by_no_larger_product():
+    space = torus_space(1)
+    x, v = space.nodes, RNG.normal(size=space.nodes.shape)
+    M, Q = forms.mass(space, x), forms.q(space, x, v)
+    c = forms.relative_norm(Q, M)
+    for _ in range(50):
+        w, z = RNG.normal(size=(2, len(x)))
+        assert abs(w @ Q @ z) <= c * ec.errors.seminorm(M, w) * ec.errors.seminorm(M, z)
+    assert c <= np.abs(forms.divergence(space, x, v)).max() * (1 + 1e-12)
+
+
+def test_refusals():
+    space = torus_space(1)
+    x, one = space.nodes, np.ones((3, 3))
+    with pytest.raises(ValueError, match=r"weight must have shape \(400, 3\), got \(3, 3\)"):
+        forms.mass(space, x, one)
+    with pytest.raises(ValueError, match=r"tensor must have shape \(400, 3, 3, 3\)"):
+        forms.stiffness(space, x, one)
+    with pytest.raises(ValueError, match=r"field must have shape \(400, 3, 3\), got \(3, 3\)"):
+        forms.gradient_load(space, x, one)
+    M = forms.mass(space, x)
+    with pytest.raises(ValueError, match="must have one shape"):
+        forms.relative_norm(M[1:, 1:], M)

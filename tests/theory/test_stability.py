@@ -1,0 +1,59 @@
+"""Answers of the scheme to chosen defects, against its error equations."""
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.theory.defects import Defects
+from esfem_core.theory.stability import response
+
+SPACE = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
+PROBLEM = ec.problems.expanding_sphere()
+ZERO = np.zeros_like(SPACE.nodes)
+RNG = np.random.default_rng(0)
+
+
+def nothing(n):
+    return Defects(ZERO[:, 0], ZERO, ZERO)
+
+
+def test_no_defects_no_errors():
+    for computed, exact in response(SPACE, PROBLEM, 3, 1 / 20, 0.5, nothing):
+        assert np.abs(computed.x - exact.x).max() < 1e-12
+        assert np.abs(computed.u - exact.u).max() < 1e-12
+
+
+def test_first_step_solves_the_error_equations():
+    # without starting errors, the first step has x~ = x~_* and u~ = u~_*: linear systems remain
+    step, p = 1 / 20, 2
+    d_u, d_v = RNG.normal(size=len(SPACE.nodes)), RNG.normal(size=SPACE.nodes.shape)
+    d_x = RNG.normal(size=SPACE.nodes.shape)
+    d = Defects(d_u, d_v, d_x)
+    *_, (computed, exact) = response(SPACE, PROBLEM, p, step, p * step, lambda n: d)
+    past = [PROBLEM.exact.x(SPACE.nodes, t) for t in (step, 0.0)]
+    M, A = SPACE.mass_stiffness(2 * past[0] - past[1])
+    e_x, e_v, e_u = computed.x - exact.x, computed.v - exact.v, computed.u - exact.u
+    assert np.allclose((M + A) @ e_v + A @ e_x, -d_v, atol=1e-11)
+    assert np.allclose(1.5 * e_x / step, e_v - d_x, atol=1e-11)
+    assert np.allclose(1.5 / step * (M @ e_u) + A @ e_u, -d_u, atol=1e-11)
+
+
+def test_small_defects_act_linearly():
+    def of(size):
+        def chosen(n):
+            return Defects(size * SPACE.nodes[:, 0], size * SPACE.nodes, -size * SPACE.nodes)
+
+        *_, (computed, exact) = response(SPACE, PROBLEM, 2, 1 / 20, 0.3, chosen)
+        return computed.u - exact.u
+
+    assert np.allclose(of(2e-6), 2 * of(1e-6), rtol=1e-3, atol=1e-12)
+
+
+def test_starting_errors_stay_where_they_are():
+    start = [(ZERO + 1e-3 * j, ZERO[:, 0] + 1e-3) for j in range(3)]
+    pairs = list(response(SPACE, PROBLEM, 3, 0.1, 0.3, nothing, start))
+    for (e_x, e_u), (computed, exact) in zip(start, pairs[:3], strict=True):
+        assert np.allclose(computed.x - exact.x, e_x, atol=1e-15)
+        assert np.allclose(computed.u - exact.u, e_u, atol=1e-15)
+    with pytest.raises(ValueError, match="p = 3 pairs"):
+        next(response(SPACE, PROBLEM, 3, 0.1, 0.3, nothing, start[:2]))
