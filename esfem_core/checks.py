@@ -1,0 +1,244 @@
+"""What is refused at the door, and the array types of the package: each once.
+
+A check takes the name of an argument and its value, and returns the value as the type that the
+code behind it relies on. Its message says the name, what is allowed and what was found.
+"""
+
+import math
+from collections.abc import Sequence
+from numbers import Integral, Real
+from typing import Any, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "Array",
+    "Bools",
+    "Ints",
+    "finite_array",
+    "number",
+    "one_of",
+    "real_array",
+    "shown",
+    "whole_number",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Option = TypeVar("Option", bound=str)
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: short, arrays by their shape.
+
+    Examples
+    --------
+    >>> shown(np.float64(0.5)), shown("x"), shown(np.zeros((2, 3)))
+    ('0.5', "'x'", 'an array of shape (2, 3)')
+    """
+    if isinstance(value, np.ndarray) and value.ndim > 0:
+        return f"an array of shape {value.shape}"
+    text = str(value) if isinstance(value, np.generic) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def whole_number(name: str, value: object, least: int, most: int | None = None) -> int:
+    """An integer in a range; numbers of any library with an integer value are integers.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    value : object
+    least, most : int
+        Both allowed.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    TypeError
+        If it is no real number.
+    ValueError
+        If it is no integer or outside the range.
+
+    Examples
+    --------
+    >>> whole_number("degree", np.float32(2), 1)
+    2
+    >>> whole_number("degree", 1.5, 1)
+    Traceback (most recent call last):
+        ...
+    ValueError: degree must be an integer >= 1, got 1.5
+    """
+    allowed = f"an integer >= {least}" if most is None else f"an integer from {least} to {most}"
+    found = _real(value)
+    if found is None:
+        raise TypeError(f"{name} must be {allowed}, got {shown(value)}")
+    if not -math.inf < found < math.inf or found != int(found):
+        raise ValueError(f"{name} must be {allowed}, got {shown(value)}")
+    if found < least or (most is not None and found > most):
+        raise ValueError(f"{name} must be {allowed}, got {shown(value)}")
+    return int(found)
+
+
+def number(
+    name: str,
+    value: object,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+) -> float:
+    """A finite real number in a range.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    value : object
+    above, below : float, optional
+        Bounds that are not allowed themselves.
+    least, most : float, optional
+        Bounds that are allowed.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    TypeError
+        If it is no real number.
+    ValueError
+        If it is not finite or outside the range.
+
+    Examples
+    --------
+    >>> number("step", 0.1, above=0)
+    0.1
+    >>> number("step", float("nan"), above=0)
+    Traceback (most recent call last):
+        ...
+    ValueError: step must be a finite number > 0, got nan
+    """
+    bounds = ((">", above), (">=", least), ("<", below), ("<=", most))
+    allowed = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
+    text = f"{name} must be a finite number{f' {allowed}' if allowed else ''}, got {shown(value)}"
+    found = _real(value)
+    if found is None:
+        raise TypeError(text)
+    if (
+        not -math.inf < found < math.inf
+        or (above is not None and found <= above)
+        or (least is not None and found < least)
+        or (below is not None and found >= below)
+        or (most is not None and found > most)
+    ):
+        raise ValueError(text)
+    return float(found)
+
+
+def _real(value: object) -> int | float | None:
+    """A real number of any library, or None."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        return None
+    try:
+        return int(value) if isinstance(value, Integral) else float(value)
+    except OverflowError:
+        return math.inf
+
+
+def one_of(name: str, value: object, options: Any) -> str:
+    """One of some strings, given as a sequence or as a ``Literal``.
+
+    Examples
+    --------
+    >>> one_of("kind", "cube", ("octahedron", "icosahedron"))
+    Traceback (most recent call last):
+        ...
+    ValueError: kind must be "octahedron" or "icosahedron", got 'cube'
+    """
+    allowed: Sequence[str] = get_args(options) or options
+    if not isinstance(value, str) or value not in allowed:
+        *most, last = (f'"{option}"' for option in allowed)
+        text = f"{', '.join(most)} or {last}" if most else last
+        raise ValueError(f"{name} must be {text}, got {shown(value)}")
+    return value
+
+
+def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:
+    """Real numbers of a shape, as an array of floats; complex ones are refused, not cut.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    values : array_like
+    shape : sequence of int or str
+        A letter stands for any length, "..." at the end for any further axes.
+
+    Returns
+    -------
+    float array
+        Not a copy where `values` is one already.
+
+    Raises
+    ------
+    TypeError
+        If they are no real numbers.
+    ValueError
+        If the shape is another.
+
+    Examples
+    --------
+    >>> real_array("x", [[0, 0, 1]], ("N", 3))
+    array([[0., 0., 1.]])
+    >>> real_array("x", [1.0, 2.0], ("N", 3))
+    Traceback (most recent call last):
+        ...
+    ValueError: x must have shape (N, 3), got (2,)
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"{name} must have shape {_text(shape)}: {error}") from None
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold real numbers, got {array.dtype} ({shown(values)})")
+    fixed = shape[:-1] if shape and shape[-1] == "..." else shape
+    fits = array.ndim == len(fixed) if fixed is shape else array.ndim >= len(fixed)
+    if not fits or any(
+        isinstance(n, int) and n != m for n, m in zip(fixed, array.shape, strict=False)
+    ):
+        raise ValueError(f"{name} must have shape {_text(shape)}, got {array.shape}")
+    return np.asarray(array, dtype=float)
+
+
+def finite_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:
+    """Like :func:`real_array`; refuses NaN and infinity as well, and says where they are.
+
+    Examples
+    --------
+    >>> finite_array("x", [[0.0, np.nan, 1.0]], ("N", 3))
+    Traceback (most recent call last):
+        ...
+    ValueError: x must be finite, but x[0, 1] is nan
+    """
+    array = real_array(name, values, shape)
+    finite = np.isfinite(array)
+    if not finite.all():
+        index = tuple(np.argwhere(~finite)[0].tolist())
+        where = f"[{', '.join(map(str, index))}]" if index else ""
+        raise ValueError(f"{name} must be finite, but {name}{where} is {array[index]}")
+    return array
+
+
+def _text(shape: Sequence[int | str]) -> str:
+    return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"

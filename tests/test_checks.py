@@ -1,0 +1,72 @@
+from decimal import Decimal
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from esfem_core.checks import finite_array, number, one_of, real_array, whole_number
+
+
+@pytest.mark.parametrize(
+    "value", [3, 3.0, np.int8(3), np.float32(3), np.array(3), np.array(3.0), Fraction(3)]
+)
+def test_numbers_of_any_library_with_an_integer_value_are_integers(value):
+    found = whole_number("n", value, 1)
+    assert found == 3
+    assert type(found) is int
+
+
+@pytest.mark.parametrize("value", [2.5, np.nan, np.inf, 0, -1, 7])
+def test_other_numbers_are_no_integers_in_the_range(value):
+    with pytest.raises(ValueError, match=r"n must be an integer from 1 to 6, got "):
+        whole_number("n", value, 1, 6)
+
+
+@pytest.mark.parametrize("value", [None, "3", 3j, [3], np.array([3]), np.array([]), True, {}])
+def test_what_is_no_number_is_refused_by_name(value):
+    with pytest.raises(TypeError, match=r"n must be an integer >= 1, got "):
+        whole_number("n", value, 1)
+    with pytest.raises(TypeError, match=r"step must be a finite number > 0, got "):
+        number("step", value, above=0)
+
+
+def test_bounds_are_part_of_the_message():
+    assert number("eta", 0, least=0, below=1) == 0.0
+    with pytest.raises(ValueError, match=r"eta must be a finite number >= 0 and < 1, got 1"):
+        number("eta", 1, least=0, below=1)
+    with pytest.raises(ValueError, match=r"share must be a finite number >= 0 and <= 0.3, got 0.5"):
+        number("share", 0.5, least=0, most=0.3)
+    with pytest.raises(TypeError, match="got Decimal"):
+        number("share", Decimal(1))
+
+
+def test_options_of_a_literal():
+    options = Literal["direct", "lifted"]
+    assert one_of("evaluation", "lifted", options) == "lifted"
+    for value in ("Direct", None, 3, np.array(["direct"])):
+        with pytest.raises(ValueError, match=r'evaluation must be "direct" or "lifted", got '):
+            one_of("evaluation", value, options)
+
+
+def test_arrays_of_a_shape():
+    x = np.zeros((4, 3))
+    assert real_array("x", x, ("N", 3)) is x
+    assert real_array("u", np.zeros((4, 2, 2)), (4, "...")).shape == (4, 2, 2)
+    assert real_array("u", np.zeros(4), (4, "...")).shape == (4,)
+    for values in (np.zeros((3, 4)), np.zeros(3), np.zeros((4, 3, 1)), 1.0, []):
+        with pytest.raises(ValueError, match=r"x must have shape \(N, 3\), got \("):
+            real_array("x", values, ("N", 3))
+    with pytest.raises(ValueError, match=r"x must have shape \(N, 3\): "):
+        real_array("x", [[1, 2, 3], [4]], ("N", 3))
+
+
+@pytest.mark.parametrize("values", [[1j, 0, 0], ["a", "b", "c"], [None] * 3, [True] * 3])
+def test_numbers_that_are_not_real_are_refused(values):
+    with pytest.raises(TypeError, match="x must hold real numbers, got "):
+        real_array("x", values, (3,))
+
+
+def test_what_is_not_finite_is_refused_with_its_place():
+    with pytest.raises(ValueError, match=r"u must be finite, but u\[2\] is inf"):
+        finite_array("u", [0, 1, np.inf], ("N",))
