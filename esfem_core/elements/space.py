@@ -229,6 +229,29 @@ class SurfaceSpace:
             raise ValueError(f"values must have shape {(*expected, '...')}, got {values.shape}")
         return self.load_with(self.density(x).T, values)
 
+    def mass_times(self, x: Array, u: Array) -> Array:
+        """M(x) u = (int u_h phi_j)_j, without the matrix.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        u : (N, ...) float array
+
+        Returns
+        -------
+        (N, ...) float array
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+        >>> M = space.mass_stiffness(space.nodes)[0]
+        >>> b = space.mass_times(space.nodes, space.nodes[:, 2])
+        >>> bool(np.allclose(b, M @ space.nodes[:, 2], rtol=0, atol=1e-15))
+        True
+        """
+        return self.load(x, self.evaluate(u))
+
     def load_with(self, density: Array, values: Array) -> Array:
         """Load vector with the area density, (Q, T), of an :class:`Assembly`."""
         by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)

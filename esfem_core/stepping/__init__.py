@@ -3,6 +3,7 @@
 from esfem_core.stepping import bdf
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
+from esfem_core.stepping.start import exact_state
 from esfem_core.stepping.state import EvolutionError, State
 
-__all__ = ["MASSES", "EvolutionError", "Perturbation", "State", "bdf", "evolve"]
+__all__ = ["MASSES", "EvolutionError", "Perturbation", "State", "bdf", "evolve", "exact_state"]

@@ -4,16 +4,18 @@ Newest value first throughout. (The sum in [N] (2.18) runs the other way, from t
 (2.22) and 2.11.1 run from the newest, and only that is an extrapolation.)
 """
 
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["delta", "gamma"]
+from esfem_core.checks import Array, whole_number
+
+__all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
 
 
-def delta(p: int) -> NDArray[np.float64]:
+def delta(p: int) -> Array:
     """Coefficients of the p-step backward difference formula.
 
     delta(z) = sum_{j=0..p} delta_j z^j = sum_{l=1..p} (1 - z)^l / l, so that
@@ -42,7 +44,7 @@ def delta(p: int) -> NDArray[np.float64]:
     return np.array([float(c) for c in delta_exact(p)])
 
 
-def gamma(p: int) -> NDArray[np.float64]:
+def gamma(p: int) -> Array:
     """Coefficients of extrapolation from the p last values.
 
     gamma(z) = sum_{j=0..p-1} gamma_j z^j = (1 - (1 - z)^p)/z, so that
@@ -68,20 +70,50 @@ def gamma(p: int) -> NDArray[np.float64]:
     >>> gamma(3)
     array([ 3., -3.,  1.])
     """
-    p = _order(p)
+    p = whole_number("the order p", p, 1)
     return np.array([(-1.0) ** j * comb(p, j + 1) for j in range(p)])
 
 
 def delta_exact(p: int) -> list[Fraction]:
     """Coefficients of :func:`delta` as exact fractions."""
-    p = _order(p)
+    p = whole_number("the order p", p, 1)
     return [
         sum(((-1) ** j * Fraction(comb(m, j), m) for m in range(max(j, 1), p + 1)), Fraction(0))
         for j in range(p + 1)
     ]
 
 
-def _order(p: int) -> int:
-    if p != int(p) or p < 1:
-        raise ValueError(f"the order p must be an integer >= 1, got {p!r}")
-    return int(p)
+def extrapolate(values: Sequence[Array]) -> Array:
+    """Extrapolate equidistant values, newest first, to the next: sum_j gamma_j values[j].
+
+    Parameters
+    ----------
+    values : sequence of arrays of one shape
+        p of them: the polynomial through them has degree p - 1.
+
+    Returns
+    -------
+    array of this shape
+
+    Examples
+    --------
+    >>> extrapolate([np.array([4.0]), np.array([1.0]), np.array([0.0])])  # of t^2
+    array([9.])
+    """
+    return combine(gamma(len(values)), values)
+
+
+def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
+    """Sum of coefficients[j] values[j], summed in this order.
+
+    Examples
+    --------
+    >>> combine(delta(2), [np.array([4.0]), np.array([1.0]), np.array([0.0])])  # 2 t at t = 2
+    array([4.])
+    """
+    pairs = zip(coefficients, values, strict=True)
+    c, first = next(pairs)
+    total: Array = c * first
+    for c, value in pairs:
+        total += c * value
+    return total

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 
@@ -210,7 +211,7 @@ def _run(
     perturbation: Perturbation | None,
 ) -> Iterator[State]:
     if start == "exact":
-        states = [exact_state(space, problem, n * step) for n in range(order)]
+        states = [replace(exact_state(space, problem, n * step), v=None) for n in range(order)]
     elif start == "euler":
         states = euler_states(space, problem, order, step, steps)
     else:

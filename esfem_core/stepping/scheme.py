@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from esfem_core.elements import Assembly, DegenerateElementError, SurfaceSpace, with_data
 from esfem_core.problems import Problem
 from esfem_core.solvers import Solver
-from esfem_core.stepping.bdf import delta, gamma
+from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.state import EvolutionError, State
 
 __all__ = ["Perturbation", "march"]
@@ -40,39 +40,39 @@ def march(
     # First guesses for the linear solver are extrapolated from more values than the scheme has.
     last_us, last_vs = (deque(values, maxlen=max(order, GUESS)) for values in (us, ()))
     # There is no extrapolation at the first p levels: M(x^j) is taken.
-    Mus = deque((_mass_times(space, s.x, s.u) for s in reversed(states)), maxlen=order)
+    Mus = deque((space.mass_times(s.x, s.u) for s in reversed(states)), maxlen=order)
     u_solver, v_solver = make_solver(), make_solver()
     normals: Array | None = None
 
     for n, t in times:
         with _naming_the_step(n, t):
-            u_tilde, x_past = _extrapolate(us), _combine(d[1:], xs)
+            u_tilde, x_past = extrapolate(us), combine(d[1:], xs)
             r_u, r_v, r_x = (None, None, None) if perturbation is None else perturbation(n)
             if problem.motion is not None:
                 x_tilde = x = np.array(problem.motion(space.nodes, t), dtype=float)
                 at = space.assemble(x_tilde, None if problem.f is None else u_tilde)
                 v = (d[0] * x + x_past) / step
             else:
-                x_tilde = _extrapolate(xs)
+                x_tilde = extrapolate(xs)
                 at = space.assemble(x_tilde, u_tilde)
                 normals = _turn(at.normals, normals)
-                guess = _extrapolate(last_vs) if last_vs else np.zeros_like(x_tilde)
+                guess = extrapolate(last_vs) if last_vs else np.zeros_like(x_tilde)
                 if r_x is not None:
                     x_past = x_past - step * r_x
                 past = x_past / d[0]
                 v = _velocity(space, problem, v_solver, at, t, step / d[0], past, r_v, guess)
                 x = (step * v - x_past) / d[0]
             M = space.mass_stiffness(x)[0] if mass == "updated" else at.M
-            b = -_combine(d[1:], Mus) / step
+            b = -combine(d[1:], Mus) / step
             if problem.f is not None:
                 b += space.load_with(at.density, _source(problem.f, "f", at, t))
             if r_u is not None:
                 b += r_u
-            guess = _extrapolate(last_us)
+            guess = extrapolate(last_us)
             u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, guess)
             if not (np.isfinite(u).all() and np.isfinite(x).all()):
                 raise FloatingPointError("the solution is not finite")
-            Mus.appendleft(_mass_times(space, x, u) if mass == "reassembled" else M @ u)
+            Mus.appendleft(space.mass_times(x, u) if mass == "reassembled" else M @ u)
         xs.appendleft(x)
         us.appendleft(u)
         last_us.appendleft(u)
@@ -142,26 +142,6 @@ def _sum(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     data = a * M.data
     data += b * A.data
     return with_data(M, data)
-
-
-def _extrapolate(values: Sequence[Array]) -> Array:
-    """Extrapolate equidistant values, newest first, to the next."""
-    return _combine(gamma(len(values)), values)
-
-
-def _combine(coefficients: Array, values: Iterable[Array]) -> Array:
-    """Sum of coefficients[j] values[j]."""
-    pairs = zip(coefficients, values, strict=True)
-    c, first = next(pairs)
-    total: Array = c * first
-    for c, value in pairs:
-        total += c * value
-    return total
-
-
-def _mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
-    """M(x) u = (int u_h phi_j)_j, without the matrix."""
-    return space.load(x, space.evaluate(u))
 
 
 def _source(function: Callable[..., Array], name: str, at: Assembly, t: float) -> Array:

@@ -14,10 +14,37 @@ March = Callable[..., Iterator[State]]
 
 
 def exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
-    """Nodal values of the exact solution, without a velocity."""
-    assert problem.exact is not None
+    """Exact values x_*(t), v_*(t), u_*(t) at the nodes.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution.
+    t : float
+
+    Returns
+    -------
+    State
+
+    Raises
+    ------
+    ValueError
+        If the problem has no exact solution.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    >>> state = exact_state(space, ec.problems.expanding_sphere(), 0.5)
+    >>> print(f"{np.linalg.norm(state.x, axis=1).max():.2f}")
+    1.50
+    """
+    if problem.exact is None:
+        raise ValueError("this needs a problem with an exact solution: Problem(..., exact=...)")
     x = np.array(problem.exact.x(space.nodes, t), dtype=float)
-    return State(t, x, None, np.array(problem.exact.u(x, t), dtype=float))
+    v, u = problem.exact.v(space.nodes, t), problem.exact.u(x, t)
+    return State(t, x, np.array(v, dtype=float), np.array(u, dtype=float))
 
 
 def euler_states(
