@@ -3,19 +3,17 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.quadrature import triangle_rule
 from esfem_core.elements.space import SurfaceSpace
+from esfem_core.surfaces import central_stencil
 
 __all__ = ["squared_differences"]
 
-Array = NDArray[np.float64]
-
-# f'(0) by five points; their distance is measured in the reference triangle.
-DISTANCE = 0.002
-STENCIL = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
+DISTANCE = 0.002  # between the points of a difference, measured in the reference triangle
+STENCIL = central_stencil(4)
 
 
 def squared_differences(

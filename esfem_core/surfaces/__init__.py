@@ -5,6 +5,7 @@ A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or
 
 from esfem_core.surfaces import exact_surfaces
 from esfem_core.surfaces.check import check_triangulation
+from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
@@ -17,8 +18,10 @@ __all__ = [
     "Quality",
     "bisected_sphere",
     "central_gradient",
+    "central_stencil",
     "check_triangulation",
     "collapse",
+    "derivative",
     "descend",
     "displaced",
     "edges_of",

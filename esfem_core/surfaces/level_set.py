@@ -9,6 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from esfem_core.surfaces.differences import derivative
+
 __all__ = ["central_gradient", "checked_values", "descend", "project_to_level_set"]
 
 Array = NDArray[np.float64]
@@ -131,13 +133,13 @@ def central_gradient(d: Field) -> Field:
 
     def gradient(points: Array) -> Array:
         x = np.asarray(points, dtype=float)
-        h = DIFFERENCE * _scale(x)
-        steps = h * np.vstack([np.eye(3), -np.eye(3)])
-        values = checked_values(d, (x + steps[:, None]).reshape(-1, 3), (), "d").reshape(
-            2, 3, len(x)
-        )
-        result: Array = (values[0] - values[1]).T / (2 * h)
-        return result
+
+        def shifted(s: float) -> Array:
+            """Values at the points moved by s along each axis, (3, n)."""
+            moved = x + s * np.eye(3)[:, None]
+            return checked_values(d, moved.reshape(-1, 3), (), "d").reshape(3, len(x))
+
+        return derivative(shifted, order=2, step=DIFFERENCE * _scale(x)).T
 
     return gradient
 
