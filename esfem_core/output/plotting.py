@@ -1,27 +1,28 @@
-"""Pictures for notebooks: convergence plots and moving surfaces.
+"""Convergence plots, and how the book's plots look.
 
-matplotlib and plotly are needed (``pip install esfem-core[book]``); they are imported when a
-function is called, so that the solver does not depend on them.
+matplotlib is needed (``pip install esfem-core[book]``); it is imported when a function is called,
+so that the solver does not depend on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from esfem_core.checks import Array, finite_array, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-__all__ = ["convergence_plot", "style"]
+__all__ = ["COLOURS", "MARKERS", "convergence_plot", "style"]
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-MAX_TICKS = 6
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MAX_TICKS = 6  # on the axis of a convergence plot
 
 
 def style() -> None:
@@ -46,7 +47,7 @@ def style() -> None:
             "grid.alpha": 0.3,
             "axes.spines.top": False,
             "axes.spines.right": False,
-            "axes.prop_cycle": cycler(color=_COLOURS),
+            "axes.prop_cycle": cycler(color=COLOURS),
             "legend.frameon": False,
             "legend.fontsize": 10,
             "lines.linewidth": 1.6,
@@ -86,8 +87,9 @@ def convergence_plot(
 
     Raises
     ------
-    ValueError
-        If lengths differ, there are fewer than two steps, or a number is not positive and finite.
+    TypeError, ValueError
+        If lengths differ, there are fewer than two different steps or no errors, or a number is
+        not positive and finite.
 
     Examples
     --------
@@ -97,20 +99,20 @@ def convergence_plot(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['position (order 3.00)', 'slope 3']
     """
-    h = _positive("steps", steps)
-    curves = {label: _positive(label, e) for label, e in errors.items()}
-    if h.ndim != 1 or len(np.unique(h)) < 2 or any(e.shape != h.shape for e in curves.values()):
-        raise ValueError(
-            f"at least two different steps and as many errors are needed, got {h.shape} steps and "
-            f"errors of shapes {[e.shape for e in curves.values()]}"
-        )
+    h = _positive("steps", steps, ("n",))
+    order = number("order", order)
+    if len(np.unique(h)) < 2:
+        raise ValueError(f"steps must hold at least two different ones, got {h.tolist()}")
+    if not errors:
+        raise ValueError("errors must hold at least one curve, got none")
+    curves = {label: _positive(f"errors[{label!r}]", e, h.shape) for label, e in errors.items()}
     for i, (label, e) in enumerate(curves.items()):
         rate = np.polyfit(np.log(h), np.log(e), 1)[0]
         ax.loglog(
             h,
             e,
-            color=_COLOURS[i % len(_COLOURS)],
-            marker=_MARKERS[i % len(_MARKERS)],
+            color=COLOURS[i % len(COLOURS)],
+            marker=MARKERS[i % len(MARKERS)],
             label=f"{label} (order {rate:.2f})",
         )
     ends = np.array([h.min(), h.max()])
@@ -130,8 +132,8 @@ def _size_label(size: float) -> str:
     return f"1/{n}" if n > 1 and abs(n * size - 1) < 1e-9 else f"{size:.2g}"
 
 
-def _positive(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=float)
-    if not (np.all(np.isfinite(array)) and np.all(array > 0)):
-        raise ValueError(f"{name}: only positive finite numbers have logarithms, got {array}")
+def _positive(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:
+    array = finite_array(name, values, shape)
+    if not (array > 0).all():
+        raise ValueError(f"{name} must be positive to have logarithms, got {array.min():g}")
     return array

@@ -7,7 +7,7 @@ import pytest
 
 import esfem_core as ec
 from esfem_core.elements import flat_triangles, node_indices
-from esfem_core.output import convergence_plot, surface_animation
+from esfem_core.output import COLOURS, MARKERS, convergence_plot, surface_animation
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5, 6])
@@ -54,17 +54,39 @@ def test_animation_refuses_what_it_cannot_draw(run):
     space, states = run
     with pytest.raises(ValueError, match="no state"):
         surface_animation(space, [])
-    with pytest.raises(ValueError, match="one value per node"):
+    with pytest.raises(ValueError, match=r"values must have shape \(66,\), got \(66, 3\)"):
         surface_animation(space, states, values=lambda s: s.x)
+    with pytest.raises(ValueError, match=r"x must have shape \(66, 3\), got \(1, 3\)"):
+        surface_animation(space, [SimpleNamespace(t=0.0, x=np.ones((1, 3)), u=np.ones(66))])
+    with pytest.raises(ValueError, match=r"values must be finite, but values\[0\] is nan"):
+        surface_animation(space, states, values=lambda s: np.full(66, np.nan))
+    with pytest.raises(ValueError, match="duration must be an integer >= 1, got 0"):
+        surface_animation(space, states, duration=0)
 
 
 def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
     from matplotlib.figure import Figure
 
     ax = Figure().subplots()
-    with pytest.raises(ValueError, match="u: only positive finite"):
-        convergence_plot(ax, [0.1, 0.05], {"u": [1e-3, np.nan]}, 3, "step")
-    with pytest.raises(ValueError, match="at least two different steps"):
-        convergence_plot(ax, [0.1], {"u": [1e-3]}, 3, "step")
-    with pytest.raises(ValueError, match="at least two different steps"):
-        convergence_plot(ax, [0.1, 0.05], {"u": [1e-3]}, 3, "step")
+    for steps, errors, message in [
+        ([0.1, 0.05], {"u": [1e-3, np.nan]}, r"errors\['u'\] must be finite, .*\[1\] is nan"),
+        ([0.1, 0.05], {"u": [1e-3, 0]}, r"errors\['u'\] must be positive .* got 0"),
+        ([0.1, 0.05], {"u": [1e-3]}, r"errors\['u'\] must have shape \(2,\), got \(1,\)"),
+        ([0.1, 0.05], {}, "errors must hold at least one curve"),
+        ([0.1], {"u": [1e-3]}, r"at least two different ones, got \[0\.1\]"),
+        ([0.1, 0.1], {"u": [1e-3, 1e-3]}, "at least two different ones"),
+        (0.1, {"u": 1e-3}, r"steps must have shape \(n,\), got \(\)"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            convergence_plot(ax, steps, errors, 3, "step")
+
+
+def test_curves_take_the_colours_and_markers_of_the_palette_in_turn():
+    from matplotlib.figure import Figure
+
+    ax = Figure().subplots()
+    curves = {str(i): [2.0 * (i + 1), 1.0 * (i + 1)] for i in range(len(COLOURS) + 1)}
+    convergence_plot(ax, [0.1, 0.05], curves, 1, "step")
+    lines = ax.get_lines()[: len(curves)]
+    assert [line.get_color() for line in lines] == [*COLOURS, COLOURS[0]]
+    assert [line.get_marker() for line in lines] == [*MARKERS, MARKERS[0]]
