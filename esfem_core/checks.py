@@ -17,6 +17,7 @@ __all__ = [
     "Bools",
     "Ints",
     "finite_array",
+    "integer_array",
     "number",
     "one_of",
     "real_array",
@@ -183,7 +184,7 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
         What the message calls it.
     values : array_like
     shape : sequence of int or str
-        A letter stands for any length, "..." at the end for any further axes.
+        A letter stands for any length, "..." at one end for any further axes.
 
     Returns
     -------
@@ -212,11 +213,7 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
         raise ValueError(f"{name} must have shape {_text(shape)}: {error}") from None
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, got {array.dtype} ({shown(values)})")
-    fixed = shape[:-1] if shape and shape[-1] == "..." else shape
-    fits = array.ndim == len(fixed) if fixed is shape else array.ndim >= len(fixed)
-    if not fits or any(
-        isinstance(n, int) and n != m for n, m in zip(fixed, array.shape, strict=False)
-    ):
+    if not _fits(array.shape, shape):
         raise ValueError(f"{name} must have shape {_text(shape)}, got {array.shape}")
     return np.asarray(array, dtype=float)
 
@@ -234,10 +231,48 @@ def finite_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Ar
     array = real_array(name, values, shape)
     finite = np.isfinite(array)
     if not finite.all():
-        index = tuple(np.argwhere(~finite)[0].tolist())
-        where = f"[{', '.join(map(str, index))}]" if index else ""
-        raise ValueError(f"{name} must be finite, but {name}{where} is {array[index]}")
+        raise ValueError(f"{name} must be finite, but {_first(name, array, ~finite)}")
     return array
+
+
+def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Ints:
+    """Like :func:`finite_array`, for integers; those of type float are integers, too.
+
+    Examples
+    --------
+    >>> integer_array("faces", [[0.0, 1.0, 2.0]], ("T", 3))
+    array([[0, 1, 2]])
+    >>> integer_array("faces", [[0, 1, 0.5]], ("T", 3))
+    Traceback (most recent call last):
+        ...
+    ValueError: faces must hold integers, but faces[0, 2] is 0.5
+    """
+    array = finite_array(name, values, shape)
+    with np.errstate(invalid="ignore"):  # too large for the type: unequal below
+        integers = array.astype(np.int64)
+    wrong = integers != array
+    if wrong.any():
+        raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")
+    return integers
+
+
+def _first(name: str, array: Array, bad: Bools) -> str:
+    index = tuple(np.argwhere(bad)[0].tolist())
+    where = f"[{', '.join(map(str, index))}]" if index else ""
+    return f"{name}{where} is {array[index]}"
+
+
+def _fits(found: Sequence[int], shape: Sequence[int | str]) -> bool:
+    if "..." in shape:
+        if len(found) < len(shape) - 1:
+            return False
+        if shape[0] == "...":
+            shape, found = shape[1:], found[len(found) - len(shape) + 1 :]
+        else:
+            shape, found = shape[:-1], found[: len(shape) - 1]
+    return len(found) == len(shape) and all(
+        isinstance(n, str) or n == m for n, m in zip(shape, found, strict=True)
+    )
 
 
 def _text(shape: Sequence[int | str]) -> str:

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from esfem_core.checks import finite_array, number, one_of, real_array, whole_number
+from esfem_core.checks import finite_array, integer_array, number, one_of, real_array, whole_number
 
 
 @pytest.mark.parametrize(
@@ -54,6 +54,11 @@ def test_arrays_of_a_shape():
     assert real_array("x", x, ("N", 3)) is x
     assert real_array("u", np.zeros((4, 2, 2)), (4, "...")).shape == (4, 2, 2)
     assert real_array("u", np.zeros(4), (4, "...")).shape == (4,)
+    assert real_array("x", np.zeros(3), ("...", 3)).shape == (3,)
+    assert real_array("x", np.zeros((2, 4, 3)), ("...", 3)).shape == (2, 4, 3)
+    for values in (np.zeros((3, 4)), np.zeros(()), np.zeros((2, 3, 4))):
+        with pytest.raises(ValueError, match=r"x must have shape \(\.\.\., 3\), got \("):
+            real_array("x", values, ("...", 3))
     for values in (np.zeros((3, 4)), np.zeros(3), np.zeros((4, 3, 1)), 1.0, []):
         with pytest.raises(ValueError, match=r"x must have shape \(N, 3\), got \("):
             real_array("x", values, ("N", 3))
@@ -70,3 +75,16 @@ def test_numbers_that_are_not_real_are_refused(values):
 def test_what_is_not_finite_is_refused_with_its_place():
     with pytest.raises(ValueError, match=r"u must be finite, but u\[2\] is inf"):
         finite_array("u", [0, 1, np.inf], ("N",))
+
+
+def test_arrays_of_integers_of_any_type():
+    for values in ([[1, 2]], np.array([[1, 2]], np.uint8), np.array([[1.0, 2.0]])):
+        found = integer_array("faces", values, ("T", 2))
+        assert found.dtype == np.int64
+        assert found.tolist() == [[1, 2]]
+    with pytest.raises(ValueError, match=r"faces must hold integers, but faces\[1\] is 2.5"):
+        integer_array("faces", [1, 2.5], ("n",))
+    with pytest.raises(ValueError, match=r"faces must be finite, but faces\[0\] is nan"):
+        integer_array("faces", [np.nan], ("n",))
+    with pytest.raises(TypeError, match="faces must hold real numbers"):
+        integer_array("faces", [True], ("n",))
