@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from esfem_core.checks import Array
+from esfem_core.checks import Array, real_array
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.quadrature import triangle_rule
 from esfem_core.elements.space import SurfaceSpace
@@ -52,6 +52,12 @@ def squared_differences(
     -------
     (m,) float array, (m,) float array
 
+    Raises
+    ------
+    TypeError, ValueError
+        If x, w or what `closest` or `function` return are not real numbers of the stated shape,
+        or `exactness` is not an integer >= 0.
+
     Examples
     --------
     >>> import esfem_core as ec
@@ -63,15 +69,19 @@ def squared_differences(
     >>> print(np.round([squares[0] / (4 * np.pi / 3), gradients[0] / (8 * np.pi / 3)], 4))
     [0.9993 0.9993]
     """
-    degree = space.degree
+    degree, n = space.degree, len(space.nodes)
     rule = triangle_rule(2 * degree + 2 if exactness is None else exactness)
-    nodes, local = np.asarray(x)[space.cells], np.asarray(w)[space.cells]
+    nodes = real_array("x", x, (n, 3))[space.cells]
+    local = real_array("w", w, (n, "m"))[space.cells]
+    m = local.shape[2]
 
     def on_surface(points: Array) -> tuple[Array, Array]:
         """Closest points and the function there, for points of the reference triangle."""
-        y = closest((tabulate(degree, points).values @ nodes).reshape(-1, 3))
+        near = (tabulate(degree, points).values @ nodes).reshape(-1, 3)
+        y = real_array("values of closest", closest(near), near.shape)
+        f = real_array("values of function", function(y), (len(y), m))
         shape = (len(nodes), len(points), -1)
-        return y.reshape(shape), np.asarray(function(y)).reshape(shape)
+        return y.reshape(shape), f.reshape(shape)
 
     def derivatives(direction: Array) -> list[Array]:
         """Of the closest points and of the function there, by differences."""

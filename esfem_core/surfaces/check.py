@@ -2,11 +2,12 @@
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["check_triangulation"]
+from esfem_core.checks import Array, Ints, shown
+
+__all__ = ["check_is_trimesh", "check_triangulation"]
 
 SHAPE_TOLERANCE = 1e-10  # smallest allowed 4 sqrt(3) area / (sum of squared edge lengths)
 
@@ -26,7 +27,7 @@ def check_triangulation(tri: trimesh.Trimesh) -> None:
     Raises
     ------
     TypeError
-        If `tri` is no :class:`trimesh.Trimesh`.
+        If `tri` is not a :class:`trimesh.Trimesh`.
     ValueError
         With the first vertex, triangle or edge that fails and why.
 
@@ -37,8 +38,7 @@ def check_triangulation(tri: trimesh.Trimesh) -> None:
         ...
     ValueError: the surface is not closed: edge (0, 1) of triangle 0 belongs to 1 triangle...
     """
-    if not isinstance(tri, trimesh.Trimesh):
-        raise TypeError(f"expected a trimesh.Trimesh, got {type(tri).__name__}")
+    check_is_trimesh("tri", tri)
     vertices, faces = np.asarray(tri.vertices, dtype=float), np.asarray(tri.faces)
     if len(faces) == 0:
         raise ValueError("the triangulation has no triangles")
@@ -53,12 +53,26 @@ def check_triangulation(tri: trimesh.Trimesh) -> None:
         )
 
 
-def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def check_is_trimesh(name: str, value: object) -> None:
+    """Refuse what is not a :class:`trimesh.Trimesh`.
+
+    Examples
+    --------
+    >>> check_is_trimesh("tri", None)
+    Traceback (most recent call last):
+        ...
+    TypeError: tri must be a trimesh.Trimesh, got None
+    """
+    if not isinstance(value, trimesh.Trimesh):
+        raise TypeError(f"{name} must be a trimesh.Trimesh, got {shown(value)}")
+
+
+def _cross(vertices: Array, faces: Ints) -> Array:
     a, b, c = vertices[faces.T]
     return np.cross(b - a, c - a)
 
 
-def _check_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+def _check_vertices(vertices: Array, faces: Ints) -> None:
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         i = int(np.argmax(bad))
@@ -76,7 +90,7 @@ def _check_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> 
         )
 
 
-def _check_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+def _check_triangles(vertices: Array, faces: Ints) -> None:
     a, b, c = faces.T
     repeated = (a == b) | (b == c) | (c == a)
     if repeated.any():
@@ -94,7 +108,7 @@ def _check_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) ->
         )
 
 
-def _check_edges(faces: NDArray[np.int64]) -> None:
+def _check_edges(faces: Ints) -> None:
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, inverse, count = np.unique(
         np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -123,20 +137,28 @@ def _check_edges(faces: NDArray[np.int64]) -> None:
         )
 
 
-def _check_fans(n_vertices: int, faces: NDArray[np.int64]) -> None:
-    """Corners linked across edges must form one fan around each vertex."""
+def _check_fans(n_vertices: int, faces: Ints) -> None:
+    """Refuse a vertex whose triangles are not connected across edges.
+
+    Take a graph whose nodes are the 3T corners of the triangles, and link two corners of
+    neighbouring triangles at the same end of their common edge. Its components are the fans, of
+    which each vertex must have one.
+    """
     n = 3 * len(faces)
     corner = np.arange(n).reshape(-1, 3)
-    start, end = faces, np.roll(faces, -1, axis=1)
-    # Edge (i, j) of one triangle is (j, i) in its neighbour: corner i here meets corner i there.
-    here = np.lexsort((end.ravel(), start.ravel()))
-    there = np.lexsort((start.ravel(), end.ravel()))
-    at_start, at_end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
-    graph = coo_array((np.ones(n), (at_start[here], at_end[there])), shape=(n, n))
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    corner_at_start, corner_at_end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+
+    # Each edge runs once from i to j and once, in the neighbour, from j to i. So the k-th of the
+    # sides sorted by (start, end) is the k-th of those sorted by (end, start) in reverse, and
+    # where the one starts the other ends.
+    by_start, by_end = np.lexsort((end, start)), np.lexsort((start, end))
+    links = corner_at_start[by_start], corner_at_end[by_end]
+    graph = coo_array((np.ones(n), links), shape=(n, n))
     n_fans, fan = connected_components(graph, directed=False)
     if n_fans == n_vertices:
         return
-    first = np.unique(fan, return_index=True)[1]
+    first = np.unique(fan, return_index=True)[1]  # corner of each fan
     fans_at = np.bincount(faces.ravel()[first], minlength=n_vertices)
     i = int(np.argmax(fans_at > 1))
     euler = n_vertices - n // 2 + len(faces)

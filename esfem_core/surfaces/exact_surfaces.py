@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from esfem_core.checks import Array, Bools, finite_array, number
 
 __all__ = ["Ellipsoid", "ExactSurface", "Near", "Sphere", "Torus"]
 
-Array = NDArray[np.float64]
 CONVERGED = 1e-8  # error of the ellipsoid's equation before the last Newton step squares it
 
 
@@ -63,8 +63,8 @@ class ExactSurface(ABC):
 
         Raises
         ------
-        ValueError
-            At a point that has no unique closest point.
+        TypeError, ValueError
+            If they are not finite points, or at one that has no unique closest point.
         """
 
     def closest(self, x: Array) -> Array:
@@ -79,6 +79,12 @@ class Sphere(ExactSurface):
     Parameters
     ----------
     radius : float
+        Positive.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not.
 
     Examples
     --------
@@ -89,9 +95,10 @@ class Sphere(ExactSurface):
     radius: float = 1.0
 
     def __post_init__(self) -> None:
-        _positive(radius=self.radius)
+        object.__setattr__(self, "radius", number("radius", self.radius, above=0))
 
     def near(self, x: Array) -> Near:  # noqa: D102 - documented by the base class
+        x = finite_array("x", x, ("...", 3))
         length = np.linalg.norm(x, axis=-1)
         _refuse(x, length <= 0, "sphere")
         normal = x / length[..., None]
@@ -106,7 +113,12 @@ class Torus(ExactSurface):
     Parameters
     ----------
     R, r : float
-        Radius of the core circle and of the tube, R > r.
+        Radius of the core circle and of the tube, R > r > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are not.
 
     Examples
     --------
@@ -119,11 +131,14 @@ class Torus(ExactSurface):
     r: float = 0.4
 
     def __post_init__(self) -> None:
-        _positive(R=self.R, r=self.r)
-        if self.r >= self.R:
-            raise ValueError(f"a torus needs R > r, got R = {self.R!r} and r = {self.r!r}")
+        R, r = number("R", self.R, above=0), number("r", self.r, above=0)
+        if r >= R:
+            raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
+        object.__setattr__(self, "R", R)
+        object.__setattr__(self, "r", r)
 
     def near(self, x: Array) -> Near:  # noqa: D102
+        x = finite_array("x", x, ("...", 3))
         rho = np.hypot(x[..., 0], x[..., 1])
         _refuse(x, rho <= 0, "torus")
         outward = x * [1.0, 1.0, 0.0] / rho[..., None]
@@ -146,7 +161,12 @@ class Ellipsoid(ExactSurface):
     Parameters
     ----------
     axes : (float, float, float)
-        Half axes c_i of {sum_i (y_i/c_i)^2 = 1}.
+        Half axes c_i > 0 of {sum_i (y_i/c_i)^2 = 1}.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are not three positive numbers.
 
     Examples
     --------
@@ -157,11 +177,13 @@ class Ellipsoid(ExactSurface):
     axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        if np.shape(self.axes) != (3,):
-            raise ValueError(f"axes must be three numbers, got {self.axes!r}")
-        _positive(axes=self.axes)
+        axes = finite_array("axes", self.axes, (3,))
+        if not (axes > 0).all():
+            raise ValueError(f"axes must be positive, got {axes.tolist()}")
+        object.__setattr__(self, "axes", tuple(axes.tolist()))
 
     def near(self, x: Array) -> Near:  # noqa: D102
+        x = finite_array("x", x, ("...", 3))
         points = self.closest(x)
         inverse = 1 / np.asarray(self.axes) ** 2
         gradient = points * inverse
@@ -179,7 +201,7 @@ class Ellipsoid(ExactSurface):
         equation of the surface, q(s) = 1, is solved for s by Newton's method in the form
         q^{-1/2} = 1, which is linear for a sphere.
         """
-        x = np.asarray(x, dtype=float)
+        x = finite_array("x", x, ("...", 3))
         squares = np.asarray(self.axes) ** 2
         s = np.zeros(x.shape[:-1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -200,13 +222,7 @@ def _outer(n: Array) -> Array:
     return outer
 
 
-def _positive(**numbers: float | tuple[float, ...]) -> None:
-    for name, value in numbers.items():
-        if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0)):
-            raise ValueError(f"{name} must be positive and finite, got {value!r}")
-
-
-def _refuse(x: Array, bad: NDArray[np.bool_], surface: str) -> None:
+def _refuse(x: Array, bad: Bools, surface: str) -> None:
     if np.any(bad):
-        point = np.asarray(x)[bad][0].tolist()
+        point = x[bad][0].tolist()
         raise ValueError(f"{point} is too far from the {surface} to have a unique closest point")

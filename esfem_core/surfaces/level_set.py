@@ -7,13 +7,12 @@ will do. Where d > 0 is outside.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.surfaces.differences import derivative
 
-__all__ = ["central_gradient", "checked_values", "descend", "project_to_level_set"]
+__all__ = ["Field", "central_gradient", "checked_values", "descend", "project_to_level_set"]
 
-Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
 MAX_STEPS = 50
@@ -41,8 +40,8 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     callable
         (n, 3) -> (n, 3), for :class:`esfem_core.SurfaceSpace` and
         :class:`esfem_core.Exact`. Its points are on the surface to 1e-13 times the
-        largest coordinate and closest ones to 1e-11 times it. A ValueError tells of points from
-        which Newton's method does not get there, and of a gradient that vanishes.
+        largest coordinate and closest ones to 1e-11 times it. It raises a ValueError where
+        Newton's method does not arrive or the gradient vanishes.
 
     Examples
     --------
@@ -54,7 +53,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     gradient = central_gradient(d) if gradient is None else gradient
 
     def project(points: Array) -> Array:
-        x = np.asarray(points, dtype=float)
+        x = finite_array("points", points, ("n", 3))
         scale = _scale(x)
         y = descend(d, gradient, x)
         todo = np.arange(len(x))
@@ -91,8 +90,9 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
 
     Raises
     ------
-    ValueError
-        If the gradient vanishes or a point does not arrive.
+    TypeError, ValueError
+        If points or values are not finite or of the wrong shape, the gradient vanishes, or a
+        point does not arrive.
 
     Examples
     --------
@@ -100,8 +100,8 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
     >>> p.tolist()
     [[0.0, 0.0, 1.0]]
     """
-    x = np.array(points, dtype=float)
-    scale = _scale(x)
+    start = finite_array("points", points, ("n", 3))
+    x, scale = start.copy(), _scale(start)
     todo = np.arange(len(x))
     for _ in range(MAX_STEPS):
         value = checked_values(d, x[todo], (), "d")
@@ -116,7 +116,7 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         if len(todo) == 0:
             return x
     raise ValueError(
-        f"Newton's method does not reach the surface from {np.asarray(points)[todo[0]].tolist()} "
+        f"Newton's method does not reach the surface from {start[todo[0]].tolist()} "
         f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
         "vanishes on the surface"
     )
@@ -132,7 +132,7 @@ def central_gradient(d: Field) -> Field:
     """
 
     def gradient(points: Array) -> Array:
-        x = np.asarray(points, dtype=float)
+        x = finite_array("points", points, ("n", 3))
 
         def shifted(s: float) -> Array:
             """Values at the points moved by s along each axis, (3, n)."""
@@ -150,12 +150,7 @@ def _scale(x: Array) -> float:
 
 def checked_values(function: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
     """Values of a user's function, refused unless they are finite and of the right shape."""
-    values = np.asarray(function(x), dtype=float)
-    if values.shape != (len(x), *shape):
-        raise ValueError(
-            f"{name} must return an array of shape {(len(x), *shape)} for {len(x)} points, "
-            f"got {values.shape}"
-        )
+    values = real_array(f"values of {name}", function(x), (len(x), *shape))
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         i = int(np.argmax(bad))

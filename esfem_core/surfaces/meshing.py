@@ -6,24 +6,19 @@ the same idea for closed surfaces in NumPy: marching cubes for a first triangula
 edge flips, and Newton's method to keep the vertices on the surface.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from esfem_core.checks import Array, Ints, finite_array, number
 from esfem_core.surfaces.check import check_triangulation
 from esfem_core.surfaces.edges import collapse, edges_of, flip, split
-from esfem_core.surfaces.level_set import central_gradient, checked_values, descend
+from esfem_core.surfaces.level_set import Field, central_gradient, checked_values, descend
 from esfem_core.surfaces.quality import Quality, mesh_quality
 
 __all__ = ["MeshingError", "from_level_set"]
-
-Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
-Field = Callable[[Array], Array]
 
 # What is asked of the mesh; the rounds end when it holds and the mean ratio has settled.
 MIN_ANGLE = 30.0  # degrees
@@ -79,9 +74,10 @@ def from_level_set(
     ------
     ImportError
         Without scikit-image (``pip install esfem-core[mesh]``).
-    ValueError
-        If the box holds no surface or cuts it, d is negative outside, or h is too large for the
-        topology or the curvature, or so small that the grid had more than 2e7 points.
+    TypeError, ValueError
+        If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it, or d
+        is negative outside; if h is too large for the topology or the curvature, or so small that
+        the grid had more than 2e7 points.
     MeshingError
         If after 40 rounds the mesh is not as good as stated.
 
@@ -95,7 +91,8 @@ def from_level_set(
     (0, True)
     >>> space = ec.SurfaceSpace(tri, degree=2, project=ec.project_to_level_set(torus))
     """
-    low, high = _check_box(bounds, h)
+    low, high = _box(bounds)
+    h = number("h", h, above=0)
     gradient = central_gradient(d) if gradient is None else gradient
     x, faces = _first_mesh(d, low, high, h)
     x = descend(d, gradient, x)
@@ -123,19 +120,17 @@ def from_level_set(
     return tri
 
 
-def _check_box(bounds: ArrayLike, h: float) -> tuple[Array, Array]:
-    box = np.asarray(bounds, dtype=float)
-    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+def _box(bounds: ArrayLike) -> Array:
+    box = finite_array("bounds", bounds, (2, 3))
+    if not (box[0] < box[1]).all():
         raise ValueError(
             "bounds must be the lower and the upper corner of a box, [[x, y, z], [X, Y, Z]], "
             f"got {box.tolist()}"
         )
-    if not (np.isfinite(h) and h > 0):
-        raise ValueError(f"h must be a positive length, got {h!r}")
-    return box[0], box[1]
+    return box
 
 
-def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Faces]:
+def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Ints]:
     """Marching cubes; the topology must be the same on a grid of half the spacing."""
     cells = np.maximum(np.ceil((high - low) / (GRID * h)), 3).astype(int)
     points = np.prod(2.0 * cells + 1)
@@ -191,7 +186,7 @@ def _check_signs(values: Array, axes: list[Array]) -> None:
     )
 
 
-def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Faces]:
+def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
     try:
         from skimage.measure import marching_cubes
     except ImportError as error:
@@ -209,7 +204,7 @@ def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Faces]:
     return x.astype(float) + low, faces.astype(np.int64)
 
 
-def _topology(faces: Faces) -> tuple[int, int]:
+def _topology(faces: Ints) -> tuple[int, int]:
     """Euler number and number of components of a closed triangulation."""
     n = int(faces.max()) + 1
     links = coo_array((np.ones(2 * len(faces)), faces[:, [0, 1, 1, 2]].reshape(-1, 2).T), (n, n))
@@ -221,7 +216,7 @@ def _say(topology: tuple[int, int]) -> str:
     return f"Euler number {euler} and {pieces} component{'s' if pieces > 1 else ''}"
 
 
-def _even_out(x: Array, faces: Faces, h: float) -> tuple[Array, Faces, int]:
+def _even_out(x: Array, faces: Ints, h: float) -> tuple[Array, Ints, int]:
     """Collapse short edges and one edge at vertices in less than five triangles; split long ones.
 
     New vertices are on edges, not on the surface. Also returns the number of changes.
@@ -236,7 +231,7 @@ def _even_out(x: Array, faces: Faces, h: float) -> tuple[Array, Faces, int]:
     return x, faces, collapses + splits
 
 
-def _relax(x: Array, faces: Faces, d: Field, gradient: Field, h: float) -> tuple[Array, Faces]:
+def _relax(x: Array, faces: Ints, d: Field, gradient: Field, h: float) -> tuple[Array, Ints]:
     """Let edges push their ends apart, with flips; vertices end near the surface."""
     for step in range(STEPS):
         if step % 4 == 0:
@@ -260,7 +255,7 @@ def _relax(x: Array, faces: Faces, d: Field, gradient: Field, h: float) -> tuple
     return x, faces
 
 
-def _check_curvature(x: Array, faces: Faces, gradient: Field, h: float) -> None:
+def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float) -> None:
     """Refuse triangles that the surface leaves at more than 60 degrees."""
     a, b, c = x[faces.T]
     normals = np.cross(b - a, c - a)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from esfem_core.surfaces.check import check_is_trimesh
 from esfem_core.tables import html_table
 
 __all__ = ["Quality", "mesh_quality"]
@@ -74,6 +75,11 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     -------
     Quality
 
+    Raises
+    ------
+    TypeError, ValueError
+        If `tri` is not a :class:`trimesh.Trimesh` or has no triangles.
+
     Examples
     --------
     >>> import esfem_core as ec
@@ -81,13 +87,17 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     >>> print(f"{q.euler} {q.min_angle:.1f} {q.mean_ratio:.3f} {q.uniformity:.2f}")
     2 54.1 0.987 1.19
     """
+    check_is_trimesh("tri", tri)
+    if len(tri.faces) == 0:
+        raise ValueError("tri must have triangles, got none")
     corners = np.asarray(tri.vertices, dtype=float)[np.asarray(tri.faces)]
     sides = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # opposite to each corner
     lengths = np.linalg.norm(sides, axis=2)
     double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     cosines = -(np.roll(sides, -1, axis=1) * np.roll(sides, 1, axis=1)).sum(axis=2)
     angles = np.degrees(np.arctan2(double_area[:, None], cosines))
-    ratio = 4 * double_area**2 / (lengths.sum(axis=1) * lengths.prod(axis=1))
+    products = lengths.sum(axis=1) * lengths.prod(axis=1)
+    ratio = 4 * double_area**2 / np.where(products > 0, products, 1)  # 0 if corners coincide
     return Quality(
         vertices=len(tri.vertices),
         triangles=len(tri.faces),

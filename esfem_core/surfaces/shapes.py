@@ -1,36 +1,55 @@
 """Triangulated spheres and a torus, and a mesh with its vertices displaced."""
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-__all__ = ["bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
+from esfem_core.checks import Array, finite_array, number, one_of, real_array, whole_number
+from esfem_core.surfaces.check import check_is_trimesh
+
+__all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
+
+Solid = Literal["octahedron", "icosahedron"]
 
 
-def to_unit_sphere(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_unit_sphere(points: Array) -> Array:
     """Closest points on the unit sphere, ``p(x) = x/|x|`` ([N] (2.2)).
 
     Parameters
     ----------
-    points : (n, 3) float array
+    points : (..., 3) float array
         Any points but the origin.
 
     Returns
     -------
-    (n, 3) float array
+    (..., 3) float array
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are not real numbers of that shape, or if a point is the origin or not finite.
 
     Examples
     --------
     >>> to_unit_sphere(np.array([[0.0, 3.0, 4.0]]))
     array([[0. , 0.6, 0.8]])
     """
-    unit: NDArray[np.float64] = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    return unit
+    x = real_array("points", points, ("...", 3))
+    length = np.linalg.norm(x, axis=-1, keepdims=True)
+
+    # Two reductions, so that good points cost next to nothing; a NaN fails both comparisons.
+    if not (length.min(initial=1.0) > 0 and length.max(initial=1.0) < np.inf):
+        bad = ~((length > 0) & (length < np.inf))[..., 0]
+        raise ValueError(
+            "points must have a positive and finite distance from the origin, but one is "
+            f"{x[bad][0].tolist()}"
+        )
+    return np.asarray(x / length)
 
 
-def sphere(kind: str = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
+def sphere(kind: Solid = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
     """Triangulate the unit sphere by refining a regular solid.
 
     Each refinement splits every triangle in four and moves the new vertices to the sphere.
@@ -52,27 +71,24 @@ def sphere(kind: str = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
 
     Raises
     ------
-    ValueError
-        If `kind` is unknown or `refinements` is not a non-negative integer.
+    TypeError, ValueError
+        If `kind` is unknown or `refinements` is not an integer >= 0.
 
     Examples
     --------
     >>> len(sphere("octahedron", 5).vertices), len(sphere("icosahedron", 2).vertices)
     (4098, 162)
     """
-    if refinements != int(refinements) or refinements < 0:
-        raise ValueError(f"refinements must be an integer >= 0, got {refinements!r}")
-    if kind == "octahedron":
+    refinements = whole_number("refinements", refinements, 0)
+    if one_of("kind", kind, Solid) == "octahedron":
         vertices = np.vstack([np.eye(3), -np.eye(3)])
         faces = np.array(
             [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
         )
-    elif kind == "icosahedron":
+    else:
         solid = trimesh.creation.icosahedron()
         vertices, faces = to_unit_sphere(np.asarray(solid.vertices)), np.asarray(solid.faces)
-    else:
-        raise ValueError(f'kind must be "octahedron" or "icosahedron", got {kind!r}')
-    for _ in range(int(refinements)):
+    for _ in range(refinements):
         vertices, faces = trimesh.remesh.subdivide(vertices, faces)
         vertices = to_unit_sphere(vertices)
     return trimesh.Trimesh(vertices, faces, process=False)
@@ -97,8 +113,8 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
 
     Raises
     ------
-    ValueError
-        If a radius or a number is out of range.
+    TypeError, ValueError
+        If a radius is not positive, R <= r, or a number is not an integer >= 3.
 
     Examples
     --------
@@ -106,17 +122,17 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     >>> len(mesh.vertices), len(mesh.faces), mesh.euler_number
     (160, 320, 0)
     """
-    if not (np.isfinite(R) and R > r > 0):
-        raise ValueError(f"a torus needs R > r > 0, got R = {R!r} and r = {r!r}")
-    if n != int(n) or m != int(m) or min(n, m) < 3:
-        raise ValueError(f"n and m must be integers >= 3, got n = {n!r} and m = {m!r}")
-    return trimesh.creation.torus(R, r, major_sections=int(n), minor_sections=int(m))
+    R, r = number("R", R, above=0), number("r", r, above=0)
+    if r >= R:
+        raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
+    n, m = whole_number("n", n, 3), whole_number("m", m, 3)
+    return trimesh.creation.torus(R, r, major_sections=n, minor_sections=m)
 
 
 def displaced(
     tri: trimesh.Trimesh,
     share: float,
-    project: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    project: Callable[[Array], Array],
     seed: int = 0,
 ) -> trimesh.Trimesh:
     """Move the vertices of a triangulation at random, then back to the surface.
@@ -133,6 +149,7 @@ def displaced(
     project : callable
         (n, 3) -> (n, 3), puts points on the surface.
     seed : int
+        0 or more; the same seed gives the same mesh.
 
     Returns
     -------
@@ -140,8 +157,9 @@ def displaced(
 
     Raises
     ------
-    ValueError
-        If the share is out of range.
+    TypeError, ValueError
+        If an argument is not as stated, or `project` does not return finite points of the shape
+        it is given.
 
     Examples
     --------
@@ -151,21 +169,23 @@ def displaced(
     >>> bool(0.1 < distance / tri.edges_unique_length.min() < 0.4)
     True
     """
-    if not 0 <= share <= 0.3:
-        raise ValueError(f"share must be from 0 to 0.3, got {share!r}")
-    shift = np.random.default_rng(seed).uniform(-1, 1, np.shape(tri.vertices))
-    moved = project(tri.vertices + share * tri.edges_unique_length.min() * shift)
-    return trimesh.Trimesh(moved, tri.faces, process=False)
+    check_is_trimesh("tri", tri)
+    share, seed = number("share", share, least=0, most=0.3), whole_number("seed", seed, 0)
+    x = np.asarray(tri.vertices)
+    shift = np.random.default_rng(seed).uniform(-1, 1, x.shape)
+    moved = project(x + share * tri.edges_unique_length.min() * shift)
+    return trimesh.Trimesh(finite_array("project(x)", moved, x.shape), tri.faces, process=False)
 
 
 def bisected_sphere(bisections: int) -> trimesh.Trimesh:
-    """Octahedron whose triangles are bisected again and again, nodes moved to the unit sphere.
+    """Triangulate the unit sphere by bisecting the triangles of an octahedron again and again.
 
-    Each triangle is cut from the middle of one edge to the vertex opposite, which is the newest
-    one, starting with the edges in the plane x3 = 0. After an even number of bisections there are
-    as many nodes as in ``sphere("octahedron", bisections // 2)``, where each triangle is cut into
-    four of its own shape. Here neighbouring triangles do not form parallelograms, and errors of
-    linear elements against the interpolant are not superclose.
+    Newest vertex bisection: each triangle is cut from its newest vertex to the middle of the edge
+    opposite, at first the edges in the plane x3 = 0; the new vertices are moved to the sphere.
+    After an even number of bisections there are as many vertices as in
+    ``sphere("octahedron", bisections // 2)``, where each triangle is cut into four of its own
+    shape. Here neighbouring triangles do not form parallelograms, and linear elements are not
+    superclose to the interpolant.
 
     Parameters
     ----------
@@ -179,7 +199,7 @@ def bisected_sphere(bisections: int) -> trimesh.Trimesh:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `bisections` is not an integer >= 0.
 
     Examples
@@ -187,18 +207,17 @@ def bisected_sphere(bisections: int) -> trimesh.Trimesh:
     >>> len(bisected_sphere(4).vertices), len(bisected_sphere(14).vertices)
     (66, 65538)
     """
-    if bisections != int(bisections) or bisections < 0:
-        raise ValueError(f"bisections must be an integer >= 0, got {bisections!r}")
+    bisections = whole_number("bisections", bisections, 0)
     vertices = np.array(
         [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float
     )
     equator = [(0, 1), (1, 2), (2, 3), (3, 0)]
     # The first two vertices of a triangle are the ends of the edge to be cut.
     faces = np.array([f for i, j in equator for f in ((i, j, 4), (j, i, 5))])
-    for _ in range(int(bisections)):
+    for _ in range(bisections):
         edges, number = np.unique(np.sort(faces[:, :2], axis=1), axis=0, return_inverse=True)
         middle = len(vertices) + number.ravel()
         vertices = np.vstack([vertices, to_unit_sphere(vertices[edges].mean(axis=1))])
-        i, j, k = faces.T
+        i, j, k = faces.T  # k, the newest vertex, is next to the middle of (i, j) in both halves
         faces = np.vstack([np.column_stack([k, i, middle]), np.column_stack([j, k, middle])])
     return trimesh.Trimesh(vertices, faces, process=False)

@@ -144,7 +144,7 @@ def test_without_a_velocity_its_errors_are_nan():
     assert np.isfinite([errors.x_l2, errors.x_h1, errors.u_l2, errors.u_h1]).all()
 
 
-def test_refusals():
+def test_without_an_exact_solution_or_its_closest_points_there_is_no_lifted_error():
     space = space_of(0)
     state = ec.State(0.0, space.nodes, None, space.nodes[:, 0])
     with pytest.raises(ValueError, match="no exact solution"):
@@ -152,3 +152,28 @@ def test_refusals():
     bare = ec.Exact(*PROBLEM.exact[:3])
     with pytest.raises(ValueError, match=r"closest points and origins"):
         ec.errors.lifted(space, ec.Problem(u0=lambda x: x[:, 0], exact=bare), state)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"x": np.zeros((3, 3))}, r"x must have shape \(18, 3\), got \(3, 3\)"),
+        ({"w": np.zeros(18)}, r"w must have shape \(18, m\), got \(18,\)"),
+        (
+            {"closest": lambda x: x[:, 0]},
+            r"values of closest must have shape \(96, 3\), got \(96,\)",
+        ),
+        ({"function": lambda y: y}, r"values of function must have shape \(96, 1\), got \(96, 3\)"),
+        ({"exactness": 2.5}, "exactness must be an integer >= 0, got 2.5"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_by_name(change, message):
+    space = space_of(0)
+    arguments = {
+        "x": space.nodes,
+        "closest": ec.to_unit_sphere,
+        "w": space.nodes[:, :1],
+        "function": lambda y: y[:, :1],
+    }
+    with pytest.raises(ValueError, match=message):
+        squared_differences(space, **(arguments | change))

@@ -57,17 +57,29 @@ def test_mean_curvature_in_closed_form():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Sphere(0.0), "radius must be positive and finite, got 0.0"),
-        (lambda: Torus(1.0, 1.5), "a torus needs R > r, got R = 1.0 and r = 1.5"),
-        (lambda: Torus(1.0, float("nan")), "r must be positive and finite"),
-        (lambda: Ellipsoid((1.0, 2.0)), r"axes must be three numbers, got \(1.0, 2.0\)"),
-        (lambda: Ellipsoid((1.0, -2.0, 1.0)), "axes must be positive and finite"),
+        (lambda: Sphere(0.0), "radius must be a finite number > 0, got 0.0"),
+        (lambda: Torus(1.0, 1.5), "a torus needs R > r, got R = 1 and r = 1.5"),
+        (lambda: Torus(1.0, float("nan")), "r must be a finite number > 0, got nan"),
+        (lambda: Ellipsoid((1.0, 2.0)), r"axes must have shape \(3,\), got \(2,\)"),
+        (lambda: Ellipsoid((1.0, -2.0, 1.0)), r"axes must be positive, got \[1.0, -2.0, 1.0\]"),
         (lambda: Sphere().near(np.zeros((2, 3))), r"\[0.0, 0.0, 0.0\] is too far from the sphere"),
         (lambda: Torus().near(np.array([[0, 0, 0.4]])), "too far from the torus"),
         (lambda: Torus().near(np.array([[0, 1.0, 0]])), "too far from the torus"),
         (lambda: Ellipsoid((2, 1, 1)).near(np.zeros(3)), "too far from the ellipsoid"),
+        (lambda: Sphere().near(np.ones((2, 2))), r"x must have shape \(\.\.\., 3\), got \(2, 2\)"),
+        (lambda: Torus().closest([[1, np.nan, 0]]), r"x must be finite, but x\[0, 1\] is nan"),
+        (lambda: Ellipsoid().closest(1.0), r"x must have shape \(\.\.\., 3\), got \(\)"),
     ],
 )
-def test_refusals(make, message):
+def test_what_has_no_closest_point_and_what_is_no_surface_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_radii_and_axes_may_be_of_any_library():
+    assert Sphere(np.float32(2)) == Sphere(2) == Sphere(2.0)
+    assert Torus(2, np.array(1)) == Torus(2.0, 1.0)
+    assert Ellipsoid(np.array([3, 2, 1])) == Ellipsoid((3.0, 2.0, 1.0))
+    for surface in (Sphere, Torus):
+        with pytest.raises(TypeError, match="must be a finite number > 0, got '1'"):
+            surface("1")

@@ -80,14 +80,20 @@ REFUSED = {
         "does not reach the surface",
     ),
     "triple zero": (lambda x: unit_sphere(x) ** 3, np.ones((2, 3)), "vanishes on the surface"),
-    "shape": (lambda x: x, np.ones((2, 3)), r"d must return .* \(2,\) for 2 points, got \(2, 3\)"),
+    "shape": (lambda x: x, np.ones((2, 3)), r"values of d must have shape \(2,\), got \(2, 3\)"),
+    "one point": (unit_sphere, np.ones(3), r"points must have shape \(n, 3\), got \(3,\)"),
+    "infinite point": (
+        unit_sphere,
+        np.array([[0, np.inf, 1]]),
+        r"points must be finite, but points\[0, 1\] is inf",
+    ),
     "not a number": (lambda x: np.log(-x[:, 0]), np.ones((2, 3)), r"d is nan at \[1\.0, 1\.0"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 @pytest.mark.filterwarnings("ignore:invalid value")
-def test_refusals(name):
+def test_what_cannot_be_projected_is_refused_with_the_point(name):
     d, x, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         ec.project_to_level_set(d)(x)

@@ -112,8 +112,8 @@ REFUSED = {
         r"not closed in the box: d is .* at the boundary point \[0\.5, .*larger box",
     ),
     "inside out": ((lambda x: -unit_sphere(x), BOX, 0.2), "outside it must be positive"),
-    "h negative": ((unit_sphere, BOX, -1.0), r"h must be a positive length, got -1\.0"),
-    "h nan": ((unit_sphere, BOX, np.nan), "h must be a positive length, got nan"),
+    "h negative": ((unit_sphere, BOX, -1.0), r"h must be a finite number > 0, got -1\.0"),
+    "h nan": ((unit_sphere, BOX, np.nan), "h must be a finite number > 0, got nan"),
     "h tiny": ((unit_sphere, BOX, 1e-4), r"h = 0\.0001 is too small for this box"),
     "h and the hole": (
         (lambda x: torus(x, r=0.9), [[-2.1, -2.1, -1.2], [2.1, 2.1, 1.2]], 0.9),
@@ -127,7 +127,11 @@ REFUSED = {
         (lambda x: torus(x, r=0.05), [[-1.2, -1.2, -0.2], [1.2, 1.2, 0.2]], 0.1),
         r"h = 0\.1 is too large",
     ),
-    "a number for a box": ((unit_sphere, 1.0, 0.2), "bounds must be the lower and the upper"),
+    "a number for a box": ((unit_sphere, 1.0, 0.2), r"bounds must have shape \(2, 3\), got \(\)"),
+    "a box without end": (
+        (unit_sphere, [[0, 0, 0], [1, 1, np.inf]], 0.2),
+        r"bounds must be finite, but bounds\[1, 2\] is inf",
+    ),
     "corners swapped": ((unit_sphere, BOX[::-1], 0.2), "bounds must be the lower and the upper"),
     "double zero": ((lambda x: unit_sphere(x) ** 2, BOX, 0.2), "there is no surface in the box"),
     "triple zero": (
@@ -140,7 +144,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_refusals(case):
+def test_a_surface_that_is_not_in_the_box_or_not_resolved_is_refused(case):
     arguments, message = REFUSED[case]
     with pytest.raises(ValueError, match=message):
         ec.from_level_set(*arguments)

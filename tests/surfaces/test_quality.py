@@ -32,3 +32,16 @@ def test_display():
     q = ec.mesh_quality(ec.sphere("icosahedron", 2))
     assert "smallest angle: 54." in str(q)
     assert "<td>Euler number</td><td>2</td>" in q._repr_html_()
+
+
+def test_a_collapsed_triangle_has_ratio_zero():
+    q = ec.mesh_quality(trimesh.Trimesh(np.eye(3), [[0, 1, 2], [0, 0, 1]], process=False))
+    assert (q.min_ratio, q.min_angle) == (0, 0)
+    assert q.mean_ratio == pytest.approx(0.5)
+
+
+def test_only_triangles_can_be_measured():
+    with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh, got None"):
+        ec.mesh_quality(None)
+    with pytest.raises(ValueError, match="tri must have triangles, got none"):
+        ec.mesh_quality(trimesh.Trimesh())

@@ -1,11 +1,10 @@
-"""What a triangulation has to be, and the messages when it is not."""
+"""Spheres, tori and displaced meshes: sizes, closed and on their surface, what is refused."""
 
 import numpy as np
 import pytest
-import trimesh
 
 import esfem_core as ec
-from esfem_core.surfaces import displaced
+from esfem_core.surfaces import bisected_sphere, displaced
 
 
 @pytest.mark.parametrize("refinements", range(4))
@@ -29,111 +28,28 @@ def test_octahedral_edges_stay_on_the_coordinate_planes():
     assert not ((signs.min(axis=1) < 0) & (signs.max(axis=1) > 0)).any()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("cube", 1), 'kind must be "octahedron" or "icosahedron", got \'cube\''),
-        (("octahedron", -1), "refinements must be an integer >= 0, got -1"),
-        (("octahedron", 1.5), "refinements must be an integer >= 0, got 1.5"),
-    ],
-)
-def test_sphere_refuses(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        ec.sphere(*arguments)
+@pytest.mark.parametrize("n", range(6))
+def test_bisected_sphere_is_closed_with_the_stated_number_of_vertices(n):
+    tri = bisected_sphere(n)
+    assert (len(tri.vertices), len(tri.faces)) == (4 * 2**n + 2, 8 * 2**n)
+    ec.check_triangulation(tri)
+    np.testing.assert_allclose(np.linalg.norm(tri.vertices, axis=1), 1, rtol=1e-15)
 
 
-def test_any_closed_surface_is_accepted():
-    for tri in (
-        trimesh.creation.torus(2.0, 0.5),
-        trimesh.creation.box(),
-        trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.icosphere(1, 3.0)]),
-    ):
-        ec.check_triangulation(tri)
+def test_bisected_sphere_is_symmetric_under_reflections_and_of_one_size():
+    tri = bisected_sphere(8)
+    known = {tuple(v) for v in (tri.vertices * 1e9).round().astype(int)}
+    for i in range(3):
+        mirrored = tri.vertices * np.where(np.arange(3) == i, -1, 1)
+        assert {tuple(v) for v in (mirrored * 1e9).round().astype(int)} == known
+    assert tri.area_faces.max() < 4 * tri.area_faces.min()
 
 
-def pinched():
-    """Two tetrahedra with one vertex in common."""
-    a = trimesh.creation.box().convex_hull
-    b = a.copy()
-    b.apply_translation(a.vertices[0] - b.vertices[-1])
-    vertices = np.vstack([a.vertices, b.vertices])
-    faces = np.vstack([a.faces, b.faces + len(a.vertices)])
-    faces[faces == len(vertices) - 1] = 0
-    return vertices[:-1], faces
-
-
-def changed(change):
-    tri = ec.sphere("octahedron", 1)
-    vertices, faces = np.array(tri.vertices), np.array(tri.faces)
-    return change(vertices, faces) or (vertices, faces)
-
-
-def set_vertex(i, value):
-    def change(vertices, faces):
-        vertices[i] = value
-
-    return change
-
-
-def set_face(i, value):
-    def change(vertices, faces):
-        faces[i] = value
-
-    return change
-
-
-BROKEN = {
-    "hole": (
-        lambda v, f: (v, f[1:]),
-        "not closed: edge .* belongs to 1 triangle .*closed surfaces",
-    ),
-    "flipped triangle": (
-        lambda v, f: (v, np.vstack([f[:1, ::-1], f[1:]])),
-        r"oriented against each other: triangle \d+ .* edge \(\d+, \d+\)",
-    ),
-    "inside out": (lambda v, f: (v, f[:, ::-1]), r"oriented inwards \(enclosed volume -"),
-    "third triangle at an edge": (
-        lambda v, f: (np.vstack([v, [[9.0, 9, 9]]]), np.vstack([f, [[f[0, 0], f[0, 1], 18]]])),
-        "edge .* of triangle .* belongs to (3|1) triangle",
-    ),
-    "repeated corner": (
-        set_face(3, [1, 1, 2]),
-        r"triangle 3 is degenerate: its corners \[1, 1, 2\]",
-    ),
-    "no area": (
-        lambda v, f: (v * [1, 0, 0], f),
-        r"triangle \d+ with corners .* is degenerate: area 0",
-    ),
-    "not a number": (set_vertex(5, np.nan), "vertex 5 is not finite"),
-    "unused vertex": (lambda v, f: (np.vstack([v, [[0.0, 0, 0]]]), f), "vertex 18 belongs to no"),
-    "missing vertex": (set_face(2, [0, 1, 99]), r"triangle 2 has corners \[0, 1, 99\]"),
-    "pinched": (lambda v, f: pinched(), r"vertex 0 joins 2 separate fans.*Euler number 3"),
-    "empty": (lambda v, f: (v, f[:0]), "has no triangles"),
-}
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_broken_meshes_are_refused_with_the_place(name):
-    change, message = BROKEN[name]
-    tri = trimesh.Trimesh(*changed(change), process=False, validate=False)
-    with pytest.raises(ValueError, match=message):
-        ec.SurfaceSpace(tri, 2)
-
-
-def test_vertices_of_a_file_without_connectivity_are_explained():
-    tri = ec.sphere("icosahedron", 1)
-    soup = trimesh.Trimesh(
-        tri.triangles.reshape(-1, 3), np.arange(240).reshape(-1, 3), process=False
-    )
-    with pytest.raises(ValueError, match="merge_vertices"):
-        ec.check_triangulation(soup)
-    soup.merge_vertices()
-    ec.check_triangulation(soup)
-
-
-def test_only_trimesh_is_taken():
-    with pytest.raises(TypeError, match=r"expected a trimesh\.Trimesh, got tuple"):
-        ec.check_triangulation(([], []))
+def test_bisected_sphere_vertices_have_four_or_eight_neighbours_in_the_interior():
+    # On a quadrisected octahedron all but six vertices have six.
+    degrees = np.bincount(bisected_sphere(8).faces.ravel())
+    assert np.mean(np.isin(degrees, (4, 8))) > 0.85
+    assert np.mean(degrees == 6) < 0.15
 
 
 def test_torus_is_closed_oriented_and_on_the_torus():
@@ -143,19 +59,6 @@ def test_torus_is_closed_oriented_and_on_the_torus():
     assert tri.volume == pytest.approx(2 * np.pi**2 * 1.5 * 0.25, rel=0.05)
     x, y, z = tri.vertices.T
     np.testing.assert_allclose((np.hypot(x, y) - 1.5) ** 2 + z**2, 0.25, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((1.0, 1.0, 20, 8), "R > r > 0, got R = 1.0 and r = 1.0"),
-        ((1.0, 0.4, 2, 8), "integers >= 3, got n = 2 and m = 8"),
-        ((1.0, 0.4, 20, 8.5), "integers >= 3, got n = 20 and m = 8.5"),
-    ],
-)
-def test_torus_refuses(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        ec.torus(*arguments)
 
 
 def test_displaced_vertices_stay_on_the_surface_and_near():
@@ -168,5 +71,80 @@ def test_displaced_vertices_stay_on_the_surface_and_near():
     assert np.array_equal(moved.vertices, again.vertices)
     same = displaced(tri, 0.0, ec.to_unit_sphere)
     np.testing.assert_allclose(same.vertices, tri.vertices, atol=1e-15)
-    with pytest.raises(ValueError, match=r"share must be from 0 to 0\.3, got 0\.5"):
-        displaced(tri, 0.5, ec.to_unit_sphere)
+
+
+def test_points_are_projected_to_the_unit_sphere_whatever_their_axes():
+    x = np.random.default_rng(0).standard_normal((4, 5, 3))
+    y = ec.to_unit_sphere(x)
+    np.testing.assert_allclose(np.linalg.norm(y, axis=-1), 1, rtol=1e-15)
+    np.testing.assert_allclose(np.cross(x, y), 0, atol=1e-15)
+    assert np.array_equal(y[2, 3], ec.to_unit_sphere(x[2, 3]))
+    assert ec.to_unit_sphere(np.empty((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("point", [[0, 0, 0], [1, np.nan, 0], [0, np.inf, 0]])
+@pytest.mark.parametrize("axes", [(), (2,), (2, 2)])
+def test_a_point_without_a_closest_one_on_the_unit_sphere_is_shown(point, axes):
+    points = np.ones((*axes, 3))
+    points[(-1,) * len(axes)] = point
+    with pytest.raises(ValueError, match="points must have a positive and finite distance") as e:
+        ec.to_unit_sphere(points)
+    assert str(e.value).endswith(f"one is {np.array(point, float).tolist()}")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ec.sphere("cube"), 'kind must be "octahedron" or "icosahedron", got \'cube\''),
+        (lambda: ec.sphere("octahedron", -1), "refinements must be an integer >= 0, got -1"),
+        (lambda: ec.sphere("octahedron", 1.5), "refinements must be an integer >= 0, got 1.5"),
+        (lambda: bisected_sphere(-1), "bisections must be an integer >= 0, got -1"),
+        (lambda: bisected_sphere(1.5), "bisections must be an integer >= 0, got 1.5"),
+        (lambda: ec.torus(1.0, 1.0), "a torus needs R > r, got R = 1 and r = 1"),
+        (lambda: ec.torus(1.0, 0.0), "r must be a finite number > 0, got 0"),
+        (lambda: ec.torus(np.inf, 1.0), "R must be a finite number > 0, got inf"),
+        (lambda: ec.torus(n=2), "n must be an integer >= 3, got 2"),
+        (lambda: ec.torus(m=8.5), "m must be an integer >= 3, got 8.5"),
+        (lambda: moved(share=0.5), "share must be a finite number >= 0 and <= 0.3, got 0.5"),
+        (lambda: moved(seed=-1), "seed must be an integer >= 0, got -1"),
+        (
+            lambda: moved(project=lambda x: x[:, :2]),
+            r"project\(x\) must have shape \(6, 3\), got \(6, 2\)",
+        ),
+        (
+            lambda: ec.to_unit_sphere([1.0, 2.0]),
+            r"points must have shape \(\.\.\., 3\), got \(2,\)",
+        ),
+    ],
+)
+def test_what_is_no_shape_is_refused_by_the_argument_s_name(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def moved(tri=None, share=0.1, project=ec.to_unit_sphere, seed=0):
+    return displaced(ec.sphere("octahedron", 0) if tri is None else tri, share, project, seed)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ec.sphere("octahedron", "3"), "refinements must be an integer >= 0, got '3'"),
+        (lambda: ec.torus(n=None), "n must be an integer >= 3, got None"),
+        (lambda: moved(tri=(1, 2)), r"tri must be a trimesh.Trimesh, got \(1, 2\)"),
+        (lambda: ec.to_unit_sphere([[1j, 0, 0]]), "points must hold real numbers, got complex128"),
+    ],
+)
+def test_arguments_of_another_type_are_refused_by_name(make, message):
+    with pytest.raises(TypeError, match=message):
+        make()
+
+
+def test_numbers_of_any_library_make_the_same_mesh():
+    for first, second in [
+        (ec.sphere("octahedron", 2), ec.sphere("octahedron", np.float32(2))),
+        (ec.torus(2, 1, 8, 6), ec.torus(np.float32(2), 1.0, np.int8(8), 6.0)),
+        (bisected_sphere(3), bisected_sphere(np.array(3))),
+    ]:
+        assert np.array_equal(first.vertices, second.vertices)
+        assert np.array_equal(first.faces, second.faces)
