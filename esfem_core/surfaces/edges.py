@@ -1,23 +1,49 @@
-"""Local changes of a closed triangulation: flip, split and collapse edges, many at a time.
+r"""Local changes of a closed triangulation: flip, split and collapse edges, many at a time.
 
-Each function takes arrays of vertices and triangles and changes as many edges as it can without
-two changes touching, so that a sweep is a few array operations.
+The pictures show an edge (i, j) with its two triangles (i, j, p) and (j, i, q)::
+
+          p                  p                  p                  p
+         / \                /|\                /|\                 |
+        /   \              / | \              / | \                |
+       i-----j    flip:   i  |  j    split:  i--m--j   collapse:   i
+        \   /              \ | /              \ | /                |
+         \ /                \|/                \|/                 |
+          q                  q                  q                  q
+
+A split adds a vertex m and two triangles, a collapse removes j and both triangles. Each function
+takes arrays of vertices and triangles and changes as many edges as it can without two changes
+touching, so that a sweep is a few array operations; the next sweep changes others.
+
+All start from the list of edges. Take a tetrahedron:
+
+>>> faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+
+Triangle t has the sides 3t, 3t + 1 and 3t + 2, from each corner to the next. Side 0 runs from 0
+to 1 with corner 2 opposite, side 5, the last of triangle 1, from 1 to 0 with corner 3 opposite.
+The two are halves of one edge:
+
+>>> e = edges_of(faces)
+>>> e.halves[0], e.ends[0], e.opposite[0]
+(array([0, 5]), array([0, 1]), array([2, 3]))
+
+So an edge finds its triangles, here 0 // 3 and 5 // 3, by the numbers of its halves.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
+
+from esfem_core.checks import Array, Bools, Ints, finite_array, integer_array, number, real_array
 
 __all__ = ["Edges", "collapse", "edges_of", "flip", "split"]
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
+EXCESS = 1e-6  # of cotangents: edges are flipped where the angles' sum is clearly above pi
+MAX_TURN = 0.5  # smallest cosine between normals of a triangle before and after a collapse
 
 
 class Edges(NamedTuple):
-    """Edges of a closed oriented triangulation.
+    """Edges of a closed oriented triangulation, each once.
 
     Attributes
     ----------
@@ -26,22 +52,37 @@ class Edges(NamedTuple):
     opposite : (E, 2) int array
         p, q.
     halves : (E, 2) int array
-        3 t + n for side n, from corner n to the next, of each of these triangles t.
+        The sides of these two triangles that are the edge: 3t + n is side n of triangle t, from
+        corner n to the next.
     """
 
-    ends: Faces
-    opposite: Faces
-    halves: Faces
+    ends: Ints
+    opposite: Ints
+    halves: Ints
 
     def lengths(self, x: Array) -> Array:
         """Lengths of the edges between vertices at x, (E,)."""
         across = x[self.ends[:, 1]] - x[self.ends[:, 0]]
-        length: Array = np.sqrt(_dot(across, across))
-        return length
+        return np.asarray(np.sqrt(_dot(across, across)))
 
 
-def edges_of(faces: Faces) -> Edges:
+def edges_of(faces: Ints) -> Edges:
     """List the edges of a closed oriented triangulation.
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+
+    Returns
+    -------
+    Edges
+        Sorted by the smaller of their ends, then by the larger.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `faces` are not integers of that shape, or an edge has not two triangles that run
+        through it in opposite directions.
 
     Examples
     --------
@@ -49,13 +90,24 @@ def edges_of(faces: Faces) -> Edges:
     >>> edges_of(ec.sphere("octahedron", 0).faces).ends.shape
     (12, 2)
     """
+    faces = integer_array("faces", faces, ("T", 3))
     start, end, third = (faces[:, [n, (n + 1) % 3, (n + 2) % 3]].ravel() for n in range(3))
-    halves = np.argsort(_keys(start, end), kind="stable").reshape(-1, 2)
-    first = halves[:, 0]
+
+    # Equal keys are neighbours after sorting: the halves of an edge are found in pairs.
+    order = np.argsort(_keys(start, end), kind="stable")
+    first, second = order[::2], order[1::2]
+    if not (
+        np.array_equal(start[first], end[second]) and np.array_equal(end[first], start[second])
+    ):
+        raise ValueError(
+            "faces must be a closed triangulation, neighbours oriented alike; "
+            "esfem_core.check_triangulation says where they are not"
+        )
+    halves = np.stack([first, second], axis=1)
     return Edges(np.stack([start[first], end[first]], axis=1), third[halves], halves)
 
 
-def flip(x: Array, faces: Faces) -> tuple[Faces, int]:
+def flip(x: Array, faces: Ints) -> tuple[Ints, int]:
     """Replace edges by the other diagonal of their two triangles where Delaunay's criterion asks.
 
     An edge is flipped if the angles opposite to it add up to more than pi. Never flipped is an
@@ -72,6 +124,11 @@ def flip(x: Array, faces: Faces) -> tuple[Faces, int]:
     (T, 3) int array, int
         The triangles, and how many edges were flipped.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If an array is not as stated, or the triangulation not closed and oriented.
+
     Examples
     --------
     >>> import esfem_core as ec
@@ -79,18 +136,17 @@ def flip(x: Array, faces: Faces) -> tuple[Faces, int]:
     >>> flip(tri.vertices, tri.faces)[1]
     0
     """
+    x, faces = _mesh(x, faces)
     e = edges_of(faces)
+
+    # cot a + cot b = sin(a + b)/(sin a sin b) is negative where a + b > pi.
     excess = -_cotangents(x, faces)[e.halves].sum(axis=1)
-    todo = np.flatnonzero(excess > 1e-6)
+    todo = np.flatnonzero(excess > EXCESS)
     patches = np.hstack([e.ends, e.opposite])[todo]
-    i, j, p, q = patches.T
-    valence = np.bincount(faces.ravel())
-    allowed = (valence[i] > 3) & (valence[j] > 3) & ~_joined(e, p, q)
-    old = _normals(x, i, j, p) + _normals(x, j, i, q)
-    for a, b, c in ((p, i, q), (q, j, p)):
-        allowed &= _dot(_normals(x, a, b, c), old) > 0
+    allowed = _may_be_flipped(x, faces, e, patches)
     todo, patches = todo[allowed], patches[allowed]
     chosen = _independent(excess[todo], patches, len(x))
+
     i, j, p, q = patches[chosen].T
     result = faces.copy()
     first, second = e.halves[todo[chosen]].T // 3
@@ -99,7 +155,18 @@ def flip(x: Array, faces: Faces) -> tuple[Faces, int]:
     return result, len(first)
 
 
-def split(x: Array, faces: Faces, longest: float) -> tuple[Array, Faces, int]:
+def _may_be_flipped(x: Array, faces: Ints, e: Edges, patches: Ints) -> Bools:
+    """Whether the flips of patches (i, j, p, q) keep a proper triangulation without folds."""
+    i, j, p, q = patches.T
+    valence = np.bincount(faces.ravel())
+    allowed: Bools = (valence[i] > 3) & (valence[j] > 3) & ~_joined(e, p, q)
+    old = _normals(x, i, j, p) + _normals(x, j, i, q)
+    for a, b, c in ((p, i, q), (q, j, p)):
+        allowed &= _dot(_normals(x, a, b, c), old) > 0
+    return allowed
+
+
+def split(x: Array, faces: Ints, longest: float) -> tuple[Array, Ints, int]:
     """Put a vertex into the middle of edges that are longer than `longest`.
 
     Parameters
@@ -107,11 +174,17 @@ def split(x: Array, faces: Faces, longest: float) -> tuple[Array, Faces, int]:
     x : (n, 3) float array
     faces : (T, 3) int array
     longest : float
+        Positive.
 
     Returns
     -------
     (m, 3) float array, (S, 3) int array, int
         Vertices, triangles and how many edges were split.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not as stated, or the triangulation not closed and oriented.
 
     Examples
     --------
@@ -121,11 +194,15 @@ def split(x: Array, faces: Faces, longest: float) -> tuple[Array, Faces, int]:
     >>> len(x), len(faces), n
     (7, 10, 1)
     """
+    x, faces = _mesh(x, faces)
+    longest = number("longest", longest, above=0)
     e = edges_of(faces)
     lengths = e.lengths(x)
     todo = np.flatnonzero(lengths > longest)
     patches = np.hstack([e.ends, e.opposite])
     todo = todo[_independent(lengths[todo], patches[todo], len(x))]
+
+    # Half of each old triangle takes its place in the array, the other halves are appended.
     i, j, p, q = patches[todo].T
     m = len(x) + np.arange(len(todo))
     result = faces.copy()
@@ -136,7 +213,7 @@ def split(x: Array, faces: Faces, longest: float) -> tuple[Array, Faces, int]:
     return np.vstack([x, (x[i] + x[j]) / 2]), np.vstack([result, *added]), len(todo)
 
 
-def collapse(x: Array, faces: Faces, priority: Array, longest: float) -> tuple[Array, Faces, int]:
+def collapse(x: Array, faces: Ints, priority: Array, longest: float) -> tuple[Array, Ints, int]:
     """Shrink edges to their midpoints.
 
     Left alone are edges whose ends have more than two neighbours in common (the topology would
@@ -151,11 +228,17 @@ def collapse(x: Array, faces: Faces, priority: Array, longest: float) -> tuple[A
         For the edges of :func:`edges_of`: those with a positive number are candidates, larger
         numbers first.
     longest : float
+        Positive.
 
     Returns
     -------
     (m, 3) float array, (S, 3) int array, int
         Vertices, triangles and how many edges were collapsed.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not as stated, or the triangulation not closed and oriented.
 
     Examples
     --------
@@ -165,106 +248,154 @@ def collapse(x: Array, faces: Faces, priority: Array, longest: float) -> tuple[A
     >>> n > 0, len(x) == 42 - n, len(faces) == 80 - 2 * n
     (True, True, True)
     """
+    x, faces = _mesh(x, faces)
+    longest = number("longest", longest, above=0)
     e = edges_of(faces)
+    priority = real_array("priority", priority, (len(e.ends),))
     todo = np.flatnonzero(priority > 0)
-    valence = np.bincount(faces.ravel())
-    allowed = _common_neighbours(e, len(x), todo) == 2
-    allowed &= (valence[e.opposite[todo]] > 4).all(axis=1)
-    allowed &= valence[e.ends[todo]].sum(axis=1) > 7
-    todo = todo[allowed]
+    todo = todo[_may_be_collapsed(faces, e, todo, len(x))]
+
+    # What a collapse does to its neighbourhood is seen when it is tried. Edges that spoil it are
+    # no candidates any more, others may come in their place, until all that are chosen are good.
     while True:
         chosen = todo[_far_apart(priority[todo], e, todo, len(x))]
-        i, j = e.ends[chosen].T
-        y, target = x.copy(), np.arange(len(x))
-        y[i] = (x[i] + x[j]) / 2
-        target[j] = i
-        owner = np.full(len(x), -1)  # of a vertex that moves: its edge
-        owner[i] = owner[j] = chosen
-        renamed = target[faces]
+        y, renamed = _merged(x, faces, *e.ends[chosen].T)
         a, b, c = renamed.T
         kept = (a != b) & (b != c) & (c != a)
-        old, new = _normals(x, *faces.T), _normals(y, a, b, c)
-        bad = _dot(old, new) < 0.5 * np.sqrt(_dot(old, old) * _dot(new, new))
-        for p, q in ((a, b), (b, c), (c, a)):
-            bad |= _dot(y[p] - y[q], y[p] - y[q]) > longest**2
-        touched = owner[faces].max(axis=1)  # by one edge only, the chosen are far apart
-        refused = np.unique(touched[bad & kept & (touched >= 0)])
+        spoiled = faces[kept & _spoiled(x, faces, y, renamed, longest)]
+        owner = np.full(len(x), -1)  # of a vertex that moves: its edge
+        owner[e.ends[chosen]] = chosen[:, None]
+        refused = np.unique(owner[spoiled].max(axis=1))  # one owner, as the chosen are far apart
+        refused = refused[refused >= 0]
         if len(refused) == 0:
             break
         todo = np.setdiff1d(todo, refused)
+
     used = np.zeros(len(x), dtype=bool)
     used[renamed[kept]] = True
-    number = np.cumsum(used) - 1
-    return y[used], number[renamed[kept]], len(chosen)
+    number_of = np.cumsum(used) - 1
+    return y[used], number_of[renamed[kept]], len(chosen)
 
 
-def _normals(x: Array, a: Faces, b: Faces, c: Faces) -> Array:
+def _may_be_collapsed(faces: Ints, e: Edges, todo: Ints, n: int) -> Bools:
+    """Whether collapses of the edges `todo` keep the topology and four triangles at each vertex.
+
+    The ends have p and q as neighbours in common. If there is a third one, r, the collapse makes
+    one edge of (i, r) and (j, r), with four triangles.
+    """
+    valence = np.bincount(faces.ravel())
+    allowed: Bools = _common_neighbours(e, n, todo) == 2
+    allowed &= (valence[e.opposite[todo]] > 4).all(axis=1)  # p and q lose one triangle each
+    allowed &= valence[e.ends[todo]].sum(axis=1) > 7  # the new vertex has the sum minus four
+    return allowed
+
+
+def _merged(x: Array, faces: Ints, i: Ints, j: Ints) -> tuple[Array, Ints]:
+    """Vertices after moving each i to its midpoint with j, and triangles with i instead of j."""
+    y, target = x.copy(), np.arange(len(x))
+    y[i] = (x[i] + x[j]) / 2
+    target[j] = i
+    return y, target[faces]
+
+
+def _spoiled(x: Array, faces: Ints, y: Array, renamed: Ints, longest: float) -> Bools:
+    """Which triangles turn by more than 60 degrees or get a side longer than `longest`."""
+    a, b, c = renamed.T
+    old, new = _normals(x, *faces.T), _normals(y, a, b, c)
+    bad = _dot(old, new) < MAX_TURN * np.sqrt(_dot(old, old) * _dot(new, new))
+    for p, q in ((a, b), (b, c), (c, a)):
+        bad |= _dot(y[p] - y[q], y[p] - y[q]) > longest**2
+    return bad
+
+
+def _mesh(x: Array, faces: Ints) -> tuple[Array, Ints]:
+    x, faces = finite_array("x", x, ("n", 3)), integer_array("faces", faces, ("T", 3))
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(x):
+        raise ValueError(
+            f"faces must hold numbers of the {len(x)} vertices, from 0, "
+            f"got {faces.min()} to {faces.max()}"
+        )
+    return x, faces
+
+
+def _normals(x: Array, a: Ints, b: Ints, c: Ints) -> Array:
     """Normals of triangles, twice their area long."""
     return np.cross(x[b] - x[a], x[c] - x[a])
 
 
 def _dot(a: Array, b: Array) -> Array:
-    product: Array = np.einsum("ij,ij->i", a, b)
-    return product
+    return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
-def _cotangents(x: Array, faces: Faces) -> Array:
-    """Cotangents of the angles opposite to each side, in the order of ``Edges.halves``."""
+def _cotangents(x: Array, faces: Ints) -> Array:
+    """Cotangents of the angles opposite to each side, in the order of ``Edges.halves``.
+
+    By the law of cosines that opposite to a is (b^2 + c^2 - a^2)/(4 area).
+    """
     corners = x[faces]
     sides = corners[:, [1, 2, 0]] - corners
     squares = np.einsum("tij,tij->ti", sides, sides)
     normals = _normals(x, *faces.T)
     double_area = np.sqrt(_dot(normals, normals))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # a triangle without area asks for a flip above all
         cotangents = (squares.sum(axis=1, keepdims=True) / 2 - squares) / double_area[:, None]
-    result: Array = cotangents.ravel()
-    return result
+    return np.asarray(cotangents.ravel())
 
 
-def _rank(priority: Array) -> Faces:
+def _rank(priority: Array) -> Ints:
     """Positive ranks without ties, larger for higher priority; among equals the first wins."""
     rank = np.empty(len(priority), dtype=np.int64)
     rank[np.argsort(-priority, kind="stable")] = np.arange(len(priority), 0, -1)
     return rank
 
 
-def _independent(priority: Array, patches: Faces, n: int) -> NDArray[np.bool_]:
-    """Choose patches of vertices that share none: the first in each of their vertices."""
+def _independent(priority: Array, patches: Ints, n: int) -> Bools:
+    """Choose patches of vertices that share none.
+
+    Each vertex remembers the highest rank among its patches, and a patch is chosen if all of its
+    vertices remember its own. Of three patches in a row, the last is lost to the second although
+    that is lost to the first; the next sweep can have it.
+
+    >>> _independent(np.array([3.0, 2.0, 1.0]), np.array([[0, 1], [1, 2], [2, 3]]), 4)
+    array([ True, False, False])
+    """
     rank = _rank(priority)
     best = np.zeros(n, dtype=np.int64)
     np.maximum.at(best, patches, rank[:, None])
-    chosen: NDArray[np.bool_] = (best[patches] == rank[:, None]).all(axis=1)
-    return chosen
+    return np.asarray((best[patches] == rank[:, None]).all(axis=1))
 
 
-def _far_apart(priority: Array, e: Edges, todo: Faces, n: int) -> NDArray[np.bool_]:
-    """Choose edges such that no triangle has corners that are neighbours of two of them."""
+def _far_apart(priority: Array, e: Edges, todo: Ints, n: int) -> Bools:
+    """Choose edges such that no triangle has corners that are neighbours of two of them.
+
+    A collapse changes the triangles at both ends and the number of triangles at p and q, one edge
+    away. So ranks are passed on along three edges: from a neighbour of the one, over a side of
+    the triangle, to a neighbour of the other.
+    """
     rank = _rank(priority)
     ends = e.ends[todo]
     best = np.zeros(n, dtype=np.int64)
     np.maximum.at(best, ends, rank[:, None])
-    for _ in range(3):  # how far apart, in edges
+    for _ in range(3):
         before = best.copy()
         np.maximum.at(best, e.ends, before[e.ends[:, ::-1]])
-    chosen: NDArray[np.bool_] = (best[ends] == rank[:, None]).all(axis=1)
-    return chosen
+    return np.asarray((best[ends] == rank[:, None]).all(axis=1))
 
 
-def _keys(a: Faces, b: Faces) -> Faces:
+def _keys(a: Ints, b: Ints) -> Ints:
     """One number for each pair of vertices, in whichever order."""
-    keys: Faces = np.minimum(a, b) * 2**31 + np.maximum(a, b)
-    return keys
+    return np.asarray(np.minimum(a, b) * 2**31 + np.maximum(a, b))
 
 
-def _joined(e: Edges, a: Faces, b: Faces) -> NDArray[np.bool_]:
-    """Tell of pairs of vertices whether they are an edge."""
-    keys, wanted = _keys(*e.ends.T), _keys(a, b)  # those of the edges are sorted
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    found: NDArray[np.bool_] = keys[place] == wanted
-    return found
+def _joined(e: Edges, a: Ints, b: Ints) -> Bools:
+    """Whether there is an edge between the vertices of each pair."""
+    keys, wanted = _keys(*e.ends.T), _keys(a, b)
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)  # edges are sorted by key
+    return np.asarray(keys[place] == wanted)
 
 
-def _common_neighbours(e: Edges, n: int, todo: Faces) -> Faces:
+def _common_neighbours(e: Edges, n: int, todo: Ints) -> Ints:
+    """How many neighbours the ends of each edge have in common: paths of two edges between them."""
     rows, columns = np.vstack([e.ends, e.ends[:, ::-1]]).T
     adjacency = coo_array((np.ones(len(rows), dtype=np.int64), (rows, columns)), (n, n)).tocsr()
     i, j = e.ends[todo].T

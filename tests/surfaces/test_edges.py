@@ -33,7 +33,7 @@ def angle_sums(x, faces):
     return total
 
 
-def test_edges():
+def test_every_edge_is_listed_once_with_its_two_triangles():
     tri = ec.sphere("icosahedron", 2)
     e = edges_of(np.array(tri.faces))
     assert len(e.ends) == len(tri.edges_unique)
@@ -66,10 +66,10 @@ def test_a_wrong_diagonal_is_put_right():
     (i, j), (p, q), halves = e.ends[100], e.opposite[100], e.halves[100]
     wrong = faces.copy()
     wrong[halves // 3] = [[p, i, q], [q, j, p]]
-    mended, flips = flip(x, wrong)
+    corrected, flips = flip(x, wrong)
     assert flips == 1
-    assert {frozenset(f) for f in mended.tolist()} == {frozenset(f) for f in faces.tolist()}
-    check(x, mended)
+    assert {frozenset(f) for f in corrected.tolist()} == {frozenset(f) for f in faces.tolist()}
+    check(x, corrected)
 
 
 def test_a_tetrahedron_is_left_alone():
@@ -148,3 +148,47 @@ def test_arguments_are_not_changed(operation):
     operation(x, faces)
     assert np.array_equal(x, before[0])
     assert np.array_equal(faces, before[1])
+
+
+OCTAHEDRON = ec.sphere("octahedron", 0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda faces: faces[1:],
+        lambda faces: faces[2:],
+        lambda faces: np.vstack([faces[:1, ::-1], faces[1:]]),
+    ],
+    ids=["one triangle missing", "two triangles missing", "one triangle turned"],
+)
+def test_edges_need_a_closed_oriented_triangulation(change):
+    faces = change(np.array(OCTAHEDRON.faces))
+    with pytest.raises(ValueError, match="faces must be a closed triangulation, neighbours orient"):
+        edges_of(faces)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"x": np.eye(3)}, ValueError, "numbers of the 3 vertices, from 0, got 0 to 5"),
+        ({"x": np.eye(6)}, ValueError, r"x must have shape \(n, 3\), got \(6, 6\)"),
+        (
+            {"faces": [[0, 1, 0.5]]},
+            ValueError,
+            r"faces must hold integers, but faces\[0, 2\] is 0\.5",
+        ),
+        ({"faces": None}, TypeError, "faces must hold real numbers"),
+        ({"longest": 0.0}, ValueError, r"longest must be a finite number > 0, got 0\.0"),
+        ({"priority": np.ones(5)}, ValueError, r"priority must have shape \(12,\), got \(5,\)"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused_by_name(change, error, message):
+    x, faces = np.array(OCTAHEDRON.vertices), np.array(OCTAHEDRON.faces)
+    arguments = {"x": x, "faces": faces, "priority": np.ones(12), "longest": 1.0} | change
+    with pytest.raises(error, match=message):
+        collapse(**arguments)
+    if "priority" not in change:
+        arguments.pop("priority")
+        with pytest.raises(error, match=message):
+            split(**arguments)
