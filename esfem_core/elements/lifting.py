@@ -93,6 +93,9 @@ def squared_differences(
     error = basis.values @ local - on_surface(rule.points)[1]
     (t1, f1), (t2, f2) = (derivatives(direction) for direction in np.eye(2))
     e1, e2 = (d @ local - f for d, f in zip(basis.derivatives, (f1, f2), strict=True))
+
+    # First fundamental form I = (E, F; F, G) of the lifted element, s = sqrt(det I). The squared
+    # gradient on Γ is e^T I^{-1} e, which `gradients` has times s^2.
     E, F, G = ((a * b).sum(axis=2) for a, b in ((t1, t1), (t1, t2), (t2, t2)))
     s = np.sqrt(E * G - F * F)
     gradients = (G[..., None] * e1 - 2 * F[..., None] * e2) * e1 + E[..., None] * e2 * e2

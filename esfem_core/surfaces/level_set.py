@@ -1,7 +1,7 @@
 """Surfaces given as the zero set of a function, [N] (2.1), and their closest points, (2.2).
 
-The function d need not be a distance: a smooth one whose gradient does not vanish at its zeros
-will do. Where d > 0 is outside.
+The function d need not be a distance: it may be any smooth function whose gradient does not
+vanish at its zeros. It is negative inside and positive outside.
 """
 
 from collections.abc import Callable

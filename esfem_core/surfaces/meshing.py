@@ -148,8 +148,8 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Int
     if found != finer:
         raise ValueError(
             f"h = {h:g} is too large for this surface: on a grid of spacing "
-            f"{2 * spacing.max():.3g} it has {_say(found)}, on one of half the spacing "
-            f"{_say(finer)}"
+            f"{2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the spacing "
+            f"{_in_words(finer)}"
         )
     return x, faces
 
@@ -211,13 +211,13 @@ def _topology(faces: Ints) -> tuple[int, int]:
     return n - len(faces) // 2, int(connected_components(links, directed=False)[0])
 
 
-def _say(topology: tuple[int, int]) -> str:
+def _in_words(topology: tuple[int, int]) -> str:
     euler, pieces = topology
     return f"Euler number {euler} and {pieces} component{'s' if pieces > 1 else ''}"
 
 
 def _even_out(x: Array, faces: Ints, h: float) -> tuple[Array, Ints, int]:
-    """Collapse short edges and one edge at vertices in less than five triangles; split long ones.
+    """Collapse short edges and one edge at vertices in fewer than five triangles; split long ones.
 
     New vertices are on edges, not on the surface. Also returns the number of changes.
     """
@@ -232,13 +232,14 @@ def _even_out(x: Array, faces: Ints, h: float) -> tuple[Array, Ints, int]:
 
 
 def _relax(x: Array, faces: Ints, d: Field, gradient: Field, h: float) -> tuple[Array, Ints]:
-    """Let edges push their ends apart, with flips; vertices end near the surface."""
+    """Let edges push their ends apart, and flip edges; vertices end near the surface."""
     for step in range(STEPS):
         if step % 4 == 0:
             flips = 1
             while flips:
                 faces, flips = flip(x, faces)
             i, j = edges_of(faces).ends.T
+        # Springs shorter than wanted push; as these are 1.2 mean lengths, nearly all are.
         across = x[j] - x[i]
         squares = np.einsum("ij,ij->i", across, across)
         wanted = 1.2 * np.sqrt(squares.mean())
@@ -246,6 +247,8 @@ def _relax(x: Array, faces: Ints, d: Field, gradient: Field, h: float) -> tuple[
         move = np.stack(
             [np.bincount(j, p, len(x)) - np.bincount(i, p, len(x)) for p in push.T], axis=1
         )
+
+        # Along the tangent plane, at most h/10 at once, then one Newton step to the surface.
         g = gradient(x)
         steepness = np.einsum("ij,ij->i", g, g)
         move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g

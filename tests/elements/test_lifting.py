@@ -78,7 +78,7 @@ def test_lifted_and_unlifted_norms_agree_up_to_the_geometry_error(t):
     assert observed_orders([4, 2, 1], gaps).min() > 2.5
 
 
-def test_orders_of_interpolation():
+def test_interpolation_has_order_k_plus_1_in_l2_and_k_in_h1():
     """x_* and I_h u against id and u: k + 1 in L2 and k in H1, one more for x on the sphere."""
     t, h, rows = 0.4, [], []
     for refinements in (2, 3, 4):

@@ -65,7 +65,7 @@ def test_no_points_are_no_problem():
     assert ec.project_to_level_set(torus)(np.empty((0, 3))).shape == (0, 3)
 
 
-def test_central_gradient():
+def test_the_central_gradient_is_accurate_to_nine_digits():
     x = NEAR[:20]
     exact = np.stack([np.cos(x[:, 0]) * x[:, 1], np.sin(x[:, 0]), 2 * x[:, 2]], axis=1)
     gradient = central_gradient(lambda x: np.sin(x[:, 0]) * x[:, 1] + x[:, 2] ** 2)

@@ -17,7 +17,7 @@ def name(d):
 
 
 @pytest.mark.parametrize(("d", "h"), [(d, h) for d in BOXES for h in (0.2, 0.12)])
-def test_topology_quality_and_place(d, h):
+def test_meshes_have_the_topology_the_quality_and_the_place_that_are_promised(d, h):
     tri = ec.from_level_set(d, BOXES[d], h)
     ec.check_triangulation(tri)
     q = ec.mesh_quality(tri)
@@ -49,14 +49,14 @@ def areas(d, sizes, degree):
     ("d", "exact"), [(unit_sphere, 4 * np.pi), (torus, 4 * np.pi**2 * 0.4)], ids=["sphere", "torus"]
 )
 @pytest.mark.parametrize(("degree", "order"), [(1, 2), (2, 3), (3, 4)])
-def test_area_converges(d, exact, degree, order):
+def test_area_converges_with_the_order_of_the_elements(d, exact, degree, order):
     """Order k + 1, for even k one more."""
     h, area = areas(d, [0.3, 0.2, 0.12], degree)
     error = np.abs(area / exact - 1)
     assert observed_orders(h[[0, -1]], error[[0, -1]])[0] > order - 0.15
 
 
-def test_volume_of_an_ellipsoid():
+def test_the_volume_of_an_ellipsoid_converges_from_below():
     errors, h = [], []
     for size in (0.3, 0.15):
         tri = ec.from_level_set(ellipsoid, BOXES[ellipsoid], size)
@@ -90,7 +90,7 @@ def test_with_a_gradient_and_away_from_the_origin():
     np.testing.assert_allclose(np.linalg.norm(tri.vertices - centre, axis=1), 1, rtol=1e-13)
 
 
-def test_a_run_on_it():
+def test_a_run_on_a_mesh_conserves_mass():
     """Mass is conserved on a mesh without any symmetry."""
     tri = ec.from_level_set(two_rings, BOXES[two_rings], 0.25)
     space = ec.SurfaceSpace(tri, 2, ec.project_to_level_set(two_rings))
@@ -156,7 +156,7 @@ def test_what_cannot_be_reached_is_said():
         ec.from_level_set(unit_sphere, BOX, 3.0)
 
 
-def test_without_scikit_image(monkeypatch):
+def test_without_scikit_image_the_message_says_what_to_install(monkeypatch):
     original = builtins.__import__
 
     def without(module, *arguments, **options):

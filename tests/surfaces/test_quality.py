@@ -7,7 +7,7 @@ import trimesh
 import esfem_core as ec
 
 
-def test_octahedron():
+def test_an_octahedron_has_equilateral_triangles_of_side_root_two():
     q = ec.mesh_quality(ec.sphere("octahedron", 0))
     assert (q.vertices, q.triangles, q.euler) == (6, 8, 2)
     assert [q.min_angle, q.max_angle] == pytest.approx([60, 60])
@@ -15,7 +15,7 @@ def test_octahedron():
     assert [q.h_min, q.h_mean, q.h_max] == pytest.approx([np.sqrt(2)] * 3)
 
 
-def test_against_trimesh_and_the_radii():
+def test_angles_lengths_and_ratios_agree_with_trimesh_and_the_radii():
     tri = trimesh.creation.torus(2.0, 0.5)
     q = ec.mesh_quality(tri)
     assert q.euler == tri.euler_number == 0
@@ -28,7 +28,7 @@ def test_against_trimesh_and_the_radii():
     assert q.h_max == pytest.approx(tri.edges_unique_length.max())
 
 
-def test_display():
+def test_a_notebook_shows_a_table():
     q = ec.mesh_quality(ec.sphere("icosahedron", 2))
     assert "smallest angle: 54." in str(q)
     assert "<td>Euler number</td><td>2</td>" in q._repr_html_()

@@ -8,7 +8,7 @@ from esfem_core.surfaces import bisected_sphere, displaced
 
 
 @pytest.mark.parametrize("refinements", range(4))
-def test_sphere_sizes(refinements):
+def test_spheres_have_the_stated_number_of_vertices(refinements):
     assert len(ec.sphere("octahedron", refinements).vertices) == 4 ** (refinements + 1) + 2
     assert len(ec.sphere("icosahedron", refinements).vertices) == 10 * 4**refinements + 2
 
