@@ -5,7 +5,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from esfem_core.companion.campaign import here
+from esfem_core.companion.environment import environment
 
 
 def in_turn(peer, ours, repeats):
@@ -40,4 +40,4 @@ def summary(peer, ours):
 def machine():
     """What the times were measured on, and with which kernels of BLAS."""
     kernels = {f"{blas['internal_api']} {blas['architecture']}" for blas in threadpool_info()}
-    return here() | {"BLAS": ", ".join(sorted(kernels)), "threads": 1}
+    return environment() | {"BLAS": ", ".join(sorted(kernels)), "threads": 1}

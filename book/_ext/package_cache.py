@@ -16,12 +16,14 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
-INPUTS = ("esfem_core/**/*.py", "esfem_core/companion/data/**/*", "requirements.lock")
+from esfem_core.companion.environment import source_hash
+
+INPUTS = ("esfem_core/companion/data/**/*", "requirements.lock")  # beside the package
 
 
 def digest(root: Path) -> str:
     """Return a hash of the files that notebooks depend on."""
-    h = hashlib.sha256(sys.version.encode())
+    h = hashlib.sha256((sys.version + source_hash(root / "esfem_core")).encode())
     for path in sorted(p for pattern in INPUTS for p in root.glob(pattern) if p.is_file()):
         h.update(path.relative_to(root).as_posix().encode() + b"\0")
         h.update(hashlib.sha256(path.read_bytes()).digest())

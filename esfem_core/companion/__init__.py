@@ -1,9 +1,11 @@
 """The book's own machinery: claims and verdicts, long runs and their stored results."""
 
-from esfem_core.companion import campaign, claims, revolution
+from esfem_core.companion import campaign, claims, environment, experiments, revolution
 
 __all__ = [
     "campaign",
     "claims",
+    "environment",
+    "experiments",
     "revolution",
 ]

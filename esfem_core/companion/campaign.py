@@ -6,25 +6,19 @@ more); different chains run side by side. Each finished case is appended to a fi
 with what is needed to judge and to repeat it; a second run goes on where the first one stopped.
 """
 
-import hashlib
 import json
 import os
-import platform
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import scipy
+from esfem_core.companion.environment import environment
 
-__all__ = ["Experiment", "Row", "case", "here", "provenance", "read", "run", "select"]
+__all__ = ["Experiment", "Row", "case", "provenance", "read", "run", "select"]
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -136,9 +130,10 @@ def provenance(rows: Sequence[Row]) -> str:
 
 def case(experiment: Experiment, parameters: Parameters) -> Row:
     """Compute one case here and now."""
+    where = environment()  # first: files may be edited in the meantime
     start = time.perf_counter()
     results = experiment.compute(**parameters)
-    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **here()})
+    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **where})
 
 
 def run(
@@ -232,38 +227,3 @@ def _truncate(path: Path) -> None:
     if path.exists():
         text = path.read_text()
         path.write_text(text[: text.rfind("\n") + 1])
-
-
-@cache
-def here() -> dict[str, str]:
-    """Date, code, libraries and machine: where a result comes from.
-
-    Examples
-    --------
-    >>> list(here())
-    ['date', 'esfem_core', 'python', 'numpy', 'scipy', 'machine']
-    """
-    from importlib.metadata import version
-
-    package = Path(__file__).parent
-    source = hashlib.sha256()
-    for file in sorted(package.glob("*.py")):
-        source.update(file.read_bytes())
-    return {
-        "date": datetime.now(UTC).date().isoformat(),
-        "esfem_core": f"{version('esfem-core')}, source {source.hexdigest()[:12]}",
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "machine": f"{_processor()}, {os.cpu_count()} cores, {sys.platform}",
-    }
-
-
-def _processor() -> str:
-    """Its name, where the system says it."""
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
