@@ -38,6 +38,11 @@ def test_the_sixth_order_runs_without_a_warning():
     assert compute(**SMALL | {"order": 6}, window=(1, 1))["end_l2"] > 0
 
 
+def test_an_unknown_mesh_is_refused():
+    with pytest.raises(ValueError, match='mesh must be "octahedron" or "bisected", got \'cube\''):
+        compute(**SMALL | {"mesh": "cube"}, window=(1, 1))
+
+
 @pytest.mark.parametrize(("factor", "expected"), [(1, True), (1.019, True), (0.975, False)])
 def test_settled_looks_at_every_norm(factor, expected):
     before = {"max_l2": 1.0, "sum_h1": 2.0, "end_l2": 3.0, "end_h1": 4.0}

@@ -8,29 +8,26 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
+from esfem_core.checks import Array
 from esfem_core.companion.campaign import Experiment
 from esfem_core.companion.revolution import cosine_mode
-from esfem_core.errors import seminorm
-from esfem_core.study import final
 
 __all__ = [
     "EXPERIMENTS",
     "bat_space",
     "exact",
     "figure_4",
-    "kept",
     "large_steps",
+    "reference_at",
     "run_times",
     "small_steps",
     "space_errors",
     "time_errors",
 ]
 
-Array = NDArray[np.float64]
 ORDERS = (1, 2, 3, 4, 5)
 UNIT = 1e-5
 TURN = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
@@ -68,7 +65,7 @@ def small_steps(
     return list(islice(run, 0, None, round(large / small)))
 
 
-def kept(space: ec.SurfaceSpace, results: Mapping[str, Any], t: float) -> ec.State:
+def reference_at(space: ec.SurfaceSpace, results: Mapping[str, Any], t: float) -> ec.State:
     """The reference at a time that :func:`figure_4` was asked to keep."""
     motion = ec.problems.baseball_bat().motion
     assert motion is not None
@@ -133,7 +130,10 @@ def figure_4(
         **{f"error_{name}": distances(run, fine) for name, run in runs.items()},
         "error_reference": distances(reference, fine),
         "error_space": [_distance(space, u, state) for u, state in without_mesh],
-        **{"mass": mass[0], "mass_one": mass[1], "drift": drift[0], "drift_one": drift[1]},
+        "mass": mass[0],
+        "mass_one": mass[1],
+        "drift": drift[0],
+        "drift_one": drift[1],
         **{f"max_{t:g}": float(abs(u).max()) for t, u in values.items()},
         **{
             f"u_{t:g}": np.rint(u / abs(u).max() / UNIT).astype(int).tolist()
@@ -146,7 +146,7 @@ def _distance(space: ec.SurfaceSpace, u: Array, other: ec.State) -> float:
     """Of u from the first component of a state, relative to the latter, in L2."""
     M, _ = space.mass_stiffness(other.x)
     v = other.u[:, 0]
-    return seminorm(M, u - v) / seminorm(M, v)
+    return ec.errors.seminorm(M, u - v) / ec.errors.seminorm(M, v)
 
 
 def _mass(
@@ -182,9 +182,9 @@ def time_errors(
         start = fine[round(160 * begin) :: round(160 * step)][:order]
         problem = ec.problems.baseball_bat()
         run = ec.evolve(space, problem, order, step, 1.0, start=start, solver="direct")
-        e = final(run).u - fine[-1].u
-        l2.append(seminorm(M, e) / seminorm(M, fine[-1].u))
-        h1.append(seminorm(A, e) / seminorm(A, fine[-1].u))
+        e = ec.study.final(run).u - fine[-1].u
+        l2.append(ec.errors.seminorm(M, e) / ec.errors.seminorm(M, fine[-1].u))
+        h1.append(ec.errors.seminorm(A, e) / ec.errors.seminorm(A, fine[-1].u))
     return {"l2": l2, "h1": h1}
 
 
@@ -205,18 +205,18 @@ def space_errors(degree: int, turned: bool, refinements: int, step: float) -> di
         of x1 = 0; h1_waist : the error h1 of these elements alone.
     """
     space, problem = bat_space(refinements, degree, turned), ec.problems.baseball_bat()
-    last = final(ec.evolve(space, problem, 5, step, 1.0))
+    last = ec.study.final(ec.evolve(space, problem, 5, step, 1.0))
     (u,) = exact(space, [1.0])
     M, A = space.mass_stiffness(last.x)
-    error, size = last.u - u, seminorm(A, u)
+    error, size = last.u - u, ec.errors.seminorm(A, u)
     side = space.nodes[space.cells[:, :3], 0]
     waist = (side.min(axis=1) < -1e-9) & (side.max(axis=1) > 1e-9)
     squares = (space.gradient(last.x, error) ** 2).sum(axis=2) * waist[:, None]
     return {
         "h": space.mesh_size(space.nodes),
         "nodes": len(space.nodes),
-        "l2": seminorm(M, error) / seminorm(M, u),
-        "h1": seminorm(A, error) / size,
+        "l2": ec.errors.seminorm(M, error) / ec.errors.seminorm(M, u),
+        "h1": ec.errors.seminorm(A, error) / size,
         "waist": float(waist.mean()),
         "h1_waist": float(np.sqrt(space.load(last.x, squares).sum())) / size,
     }

@@ -3,17 +3,16 @@
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import Any
+from typing import Any, Literal
 
-from esfem_core import errors
+import esfem_core as ec
+from esfem_core.checks import one_of
 from esfem_core.companion.campaign import Experiment
-from esfem_core.elements import SurfaceSpace
-from esfem_core.problems import oscillating_ellipsoid
-from esfem_core.stepping import State, evolve
-from esfem_core.surfaces import bisected_sphere, sphere, to_unit_sphere
+from esfem_core.surfaces import bisected_sphere
 
 __all__ = ["EXPERIMENTS", "chain", "compute", "settled"]
+
+Mesh = Literal["octahedron", "bisected"]
 
 LINEAR: dict[str, Any] = {"degree": 1, "refinements": 7}  # 65,538 nodes, the paper's number
 BISECTED: dict[str, Any] = {"degree": 1, "refinements": 14, "mesh": "bisected"}  # 65,538 nodes, too
@@ -30,7 +29,7 @@ def compute(
     order: int,
     steps_per_unit: int,
     window: Sequence[float],
-    mesh: str = "octahedron",
+    mesh: Mesh = "octahedron",
 ) -> dict[str, float]:
     r"""Run one BDF method on the oscillating ellipsoid from t = 0, with exact starting values.
 
@@ -58,6 +57,11 @@ def compute(
         (:func:`esfem_core.errors.time_norms`); "end_l2" and "end_h1", the norms at the end; "h",
         the longest edge of the initial mesh; "nodes".
 
+    Raises
+    ------
+    ValueError
+        If there is no such mesh, or the solver refuses an argument.
+
     Examples
     --------
     >>> fixed = {"solution": "oscillation", "evaluation": "lifted", "window": (1, 2)}
@@ -66,16 +70,17 @@ def compute(
     >>> print(f"{coarse / fine:.1f}")
     3.9
     """
-    make = bisected_sphere if mesh == "bisected" else partial(sphere, mesh)
-    space = SurfaceSpace(make(refinements), degree, to_unit_sphere)
-    problem = oscillating_ellipsoid(solution, evaluation)
-    last: deque[State] = deque(maxlen=1)
+    one_of("mesh", mesh, Mesh)
+    tri = bisected_sphere(refinements) if mesh == "bisected" else ec.sphere(mesh, refinements)
+    space = ec.SurfaceSpace(tri, degree, ec.to_unit_sphere)
+    problem = ec.problems.oscillating_ellipsoid(solution, evaluation)
+    last: deque[ec.State] = deque(maxlen=1)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "BDF6 has no multiplier")  # which is why it is run
-        run = evolve(space, problem, order, 1 / steps_per_unit, window[1])
+        run = ec.evolve(space, problem, order, 1 / steps_per_unit, window[1])
     first, final = window
-    max_l2, sum_h1 = errors.time_norms(space, problem, _remember(run, last), (first, final))
-    end = errors.compare(space, problem, last[0])
+    max_l2, sum_h1 = ec.errors.time_norms(space, problem, _remember(run, last), (first, final))
+    end = ec.errors.compare(space, problem, last[0])
     return {
         "max_l2": max_l2,
         "sum_h1": sum_h1,
@@ -86,7 +91,7 @@ def compute(
     }
 
 
-def _remember(states: Iterable[State], last: "deque[State]") -> Iterator[State]:
+def _remember(states: Iterable[ec.State], last: "deque[ec.State]") -> Iterator[ec.State]:
     """Yield the states and keep the last ones."""
     for state in states:
         last.append(state)
@@ -94,7 +99,7 @@ def _remember(states: Iterable[State], last: "deque[State]") -> Iterator[State]:
 
 
 def settled(previous: Mapping[str, Any], current: Mapping[str, Any]) -> bool:
-    """Whether no norm has changed by 2% or more: only the error of space is left."""
+    """Whether no norm has changed by 2% or more: only the spatial error is left."""
     names = ("max_l2", "sum_h1", "end_l2", "end_h1")
     return all(abs(current[name] - previous[name]) < 0.02 * previous[name] for name in names)
 

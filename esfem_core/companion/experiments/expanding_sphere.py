@@ -1,27 +1,27 @@
 """[N] 7.3 and 7.4: the expanding sphere, Figures 1 to 4, and how far Theorem 2.1 reaches."""
 
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-from esfem_core import errors, problems
+import esfem_core as ec
+from esfem_core.checks import Array, one_of
 from esfem_core.companion.campaign import Experiment
-from esfem_core.elements import SurfaceSpace
-from esfem_core.errors import Errors
-from esfem_core.stepping import EvolutionError, evolve
-from esfem_core.study import final
-from esfem_core.surfaces import from_level_set, sphere, to_unit_sphere
+from esfem_core.companion.experiments.theorem import Norms, left_hand_sides
+from esfem_core.stepping import exact_state
 
-__all__ = ["EXPERIMENTS", "make_space", "run", "theorem", "time_errors"]
+__all__ = ["EXPERIMENTS", "errors_at_end", "lifted_sides", "make_space", "time_errors"]
+
+Mesh = Literal["octahedron", "icosahedron", "distance"]
 
 END = 1.0
 SAMPLES = 20
 AXIS = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)  # of the turned meshes
 
 
-def make_space(mesh: str, refinements: int, degree: int, angle: float = 0.0) -> SurfaceSpace:
+def make_space(mesh: Mesh, refinements: int, degree: int, angle: float = 0.0) -> ec.SurfaceSpace:
     """Elements on the unit sphere, the mesh turned about (1, 2, 3).
 
     Parameters
@@ -37,28 +37,34 @@ def make_space(mesh: str, refinements: int, degree: int, angle: float = 0.0) -> 
     -------
     SurfaceSpace
 
+    Raises
+    ------
+    ValueError
+        If there is no such mesh.
+
     Examples
     --------
     >>> space = make_space("octahedron", 1, 2, angle=0.5)
     >>> len(space.nodes), bool(abs(space.nodes[0, 0] - 1) > 0.1)
     (66, True)
     """
+    one_of("mesh", mesh, Mesh)
     if mesh == "distance":
-        tri = from_level_set(_distance, [[-1.3] * 3, [1.3] * 3], 0.6 / 2**refinements)
+        tri = ec.from_level_set(_distance, [[-1.3] * 3, [1.3] * 3], 0.6 / 2**refinements)
     else:
-        tri = sphere(mesh, refinements)
+        tri = ec.sphere(mesh, refinements)
     if angle:
         turn = trimesh.transformations.rotation_matrix(angle, AXIS)[:3, :3]
         tri = trimesh.Trimesh(tri.vertices @ turn.T, tri.faces, process=False)
-    return SurfaceSpace(tri, degree, to_unit_sphere)
+    return ec.SurfaceSpace(tri, degree, ec.to_unit_sphere)
 
 
-def _distance(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distance(x: Array) -> Array:
     return np.asarray(np.linalg.norm(x, axis=1)) - 1
 
 
-def run(
-    mesh: str,
+def errors_at_end(
+    mesh: Mesh,
     refinements: int,
     degree: int,
     order: int,
@@ -87,39 +93,41 @@ def run(
 
     Examples
     --------
-    >>> errors = run("octahedron", 1, 2, order=3, step=1 / 20)
+    >>> errors = errors_at_end("octahedron", 1, 2, order=3, step=1 / 20)
     >>> print("{nodes} {x_l2:.0e} {u_l2:.0e} {u_l2_lifted:.0e}".format(**errors))
     66 8e-03 2e-02 2e-02
     """
-    space, problem = (
-        make_space(mesh, refinements, degree, angle),
-        problems.expanding_sphere(coupling),
-    )
+    space = make_space(mesh, refinements, degree, angle)
+    problem = ec.problems.expanding_sphere(coupling)
     out = {"nodes": len(space.nodes), "h": float(space.mesh_size(space.nodes))}
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            last = final(evolve(space, problem, order, step, END))
-    except EvolutionError as stop:
-        names = [*Errors._fields, *(f"{q}_lifted" for q in Errors._fields), "slope"]
+            last = ec.study.final(ec.evolve(space, problem, order, step, END))
+    except ec.EvolutionError as stop:
+        fields = ec.errors.Errors._fields
+        names = [*fields, *(f"{q}_lifted" for q in fields), "slope"]
         return out | {"t": stop.t} | dict.fromkeys(names, float("nan"))
-    x_exact = problem.exact.x(space.nodes, END)  # type: ignore[union-attr]
-    slope = np.linalg.norm(space.gradient(x_exact, last.x - x_exact), axis=(2, 3)).max()
+    exact = exact_state(space, problem, END)
+    slope = np.linalg.norm(space.gradient(exact.x, last.x - exact.x), axis=(2, 3)).max()
+    lifted = ec.errors.lifted(space, problem, last)._asdict()
     return (
         out
         | {"t": last.t}
-        | errors.compare(space, problem, last)._asdict()
-        | {f"{q}_lifted": e for q, e in errors.lifted(space, problem, last)._asdict().items()}
+        | ec.errors.compare(space, problem, last)._asdict()
+        | {f"{q}_lifted": error for q, error in lifted.items()}
         | {"slope": float(slope)}
     )
 
 
-def theorem(mesh: str, refinements: int, degree: int, order: int, step: float) -> dict[str, float]:
-    """The left-hand sides of [N] (2.24)-(2.26) over a run with exact starting values.
+def lifted_sides(
+    mesh: Mesh, refinements: int, degree: int, order: int, step: float
+) -> dict[str, float]:
+    """The left-hand sides of [N] (2.24)-(2.26) over a run with exact starting values, lifted.
 
     Parameters
     ----------
     mesh, refinements, degree, order, step
-        As for :func:`run`.
+        As for :func:`errors_at_end`.
 
     Returns
     -------
@@ -129,30 +137,28 @@ def theorem(mesh: str, refinements: int, degree: int, order: int, step: float) -
 
     Examples
     --------
-    >>> sides = theorem("octahedron", 1, 2, order=3, step=1 / 20)
+    >>> sides = lifted_sides("octahedron", 1, 2, order=3, step=1 / 20)
     >>> print("{u:.0e} {v:.0e} {x:.0e}".format(**sides))
     4e-01 2e-01 2e-01
     """
-    space, problem = make_space(mesh, refinements, degree), problems.expanding_sphere()
-    u_l2 = squares = v = x = 0.0
+    space, problem = make_space(mesh, refinements, degree), ec.problems.expanding_sphere()
+
+    def norms(state: ec.State) -> Norms:
+        e = ec.errors.lifted(space, problem, state)
+        x, v = np.hypot([e.x_l2, e.v_l2], [e.x_h1, e.v_h1])
+        return Norms(float(x), float(v), e.u_l2, e.u_l2**2 + e.u_h1**2)
+
     every = max(1, round(1 / (SAMPLES * step)))
-    for n, state in enumerate(evolve(space, problem, order, step, END)):
-        if n >= order and (round(END / step) - n) % every == 0:
-            e = errors.lifted(space, problem, state)
-            squares += every * step * (e.u_l2**2 + e.u_h1**2)
-            u_l2 = max(u_l2, e.u_l2)
-            v, x = max(v, np.hypot(e.v_l2, e.v_h1)), max(x, np.hypot(e.x_l2, e.x_h1))
+    run = ec.evolve(space, problem, order, step, END)
     return {
         "nodes": len(space.nodes),
         "h": float(space.mesh_size(space.nodes)),
-        "u": u_l2 + float(np.sqrt(squares)),
-        "v": float(v),
-        "x": float(x),
+        **left_hand_sides(run, norms, step, END, every),
     }
 
 
 def time_errors(
-    mesh: str,
+    mesh: Mesh,
     refinements: int,
     degree: int,
     fine: float,
@@ -182,16 +188,16 @@ def time_errors(
     >>> print("{:.1f}".format(np.log2(e["p2_v_l2"][0] / e["p2_v_l2"][1])))
     2.0
     """
-    space, problem = make_space(mesh, refinements, degree), problems.expanding_sphere()
-    states = list(evolve(space, problem, 5, fine, END, start="euler", solver="direct"))
+    space, problem = make_space(mesh, refinements, degree), ec.problems.expanding_sphere()
+    states = list(ec.evolve(space, problem, 5, fine, END, start="euler", solver="direct"))
     out: dict[str, list[float]] = {}
     for p, steps in runs:
         for step in steps:
             k = round(step / fine)
-            last = final(
-                evolve(space, problem, p, step, END, start=states[: p * k : k], solver="direct")
-            )
-            for q, e in errors.difference(space, last, states[-1])._asdict().items():
+            start = states[: p * k : k]
+            run = ec.evolve(space, problem, p, step, END, start=start, solver="direct")
+            last = ec.study.final(run)
+            for q, e in ec.errors.difference(space, last, states[-1])._asdict().items():
                 out.setdefault(f"p{p}_{q}", []).append(e)
     return out
 
@@ -286,13 +292,26 @@ COUPLING = [
 ]
 
 EXPERIMENTS = [
-    Experiment("nick_figures_1_3", "[N] Figures 1 and 3: convergence in time", run, FIGURES_1_3),
-    Experiment("nick_figures_2_4", "[N] Figures 2 and 4: convergence in space", run, FIGURES_2_4),
-    Experiment("nick_table", "[N] Theorem 2.1 for all p and k", theorem, TABLE),
+    Experiment(
+        "nick_figures_1_3", "[N] Figures 1 and 3: convergence in time", errors_at_end, FIGURES_1_3
+    ),
+    Experiment(
+        "nick_figures_2_4", "[N] Figures 2 and 4: convergence in space", errors_at_end, FIGURES_2_4
+    ),
+    Experiment("nick_table", "[N] Theorem 2.1 for all p and k", lifted_sides, TABLE),
     Experiment("nick_table_time", "[N] Theorem 2.1: orders in time", time_errors, [TIME_TABLE]),
-    Experiment("nick_table_space", "[N] Theorem 2.1: orders in space", run, SPACE_TABLE),
-    Experiment("nick_restrictions", "[N] Theorem 2.1 outside its restrictions", run, RESTRICTIONS),
-    Experiment("nick_excluded", "[N] What Theorem 2.1 excludes: p = 1, k = 1", run, EXCLUDED),
-    Experiment("nick_coupling", "[N] 7.3: the printed coupling on turned meshes", run, COUPLING),
+    Experiment("nick_table_space", "[N] Theorem 2.1: orders in space", errors_at_end, SPACE_TABLE),
+    Experiment(
+        "nick_restrictions",
+        "[N] Theorem 2.1 outside its restrictions",
+        errors_at_end,
+        RESTRICTIONS,
+    ),
+    Experiment(
+        "nick_excluded", "[N] What Theorem 2.1 excludes: p = 1, k = 1", errors_at_end, EXCLUDED
+    ),
+    Experiment(
+        "nick_coupling", "[N] 7.3: the printed coupling on turned meshes", errors_at_end, COUPLING
+    ),
 ]
 """Those of the chapter on the expanding sphere."""

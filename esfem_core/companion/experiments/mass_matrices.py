@@ -6,20 +6,15 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core import errors
+import esfem_core as ec
+from esfem_core.checks import Array, one_of, whole_number
 from esfem_core.companion.campaign import Experiment
-from esfem_core.elements import SurfaceSpace
-from esfem_core.problems import Problem, expanding_sphere, growing_sphere
-from esfem_core.stepping import MASSES, State, evolve
-from esfem_core.study import final
-from esfem_core.surfaces import sphere, to_unit_sphere
+from esfem_core.stepping import MASSES, exact_state
 
 __all__ = ["EXPERIMENTS", "SURFACES", "compare_masses", "orders"]
 
-Array = NDArray[np.float64]
 TIMES = (0.5, 1.0)
 AXES = np.array([1.0, 0.8, 0.6])  # of the ellipsoid
 
@@ -60,33 +55,32 @@ def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> 
     >>> print(f"{row['difference'][0] / row['size'][0] * 80**2:.0f}")
     12
     """
+    steps_per_unit = whole_number("steps_per_unit", steps_per_unit, 2)
     if steps_per_unit % 2:
         raise ValueError(f"steps_per_unit must be even, to meet t = 1/2, got {steps_per_unit}")
-    space = SurfaceSpace(sphere("octahedron", refinements), 2, to_unit_sphere)
-    problem = expanding_sphere("smooth")
-    assert problem.exact is not None
+    space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), 2, ec.to_unit_sphere)
+    problem = ec.problems.expanding_sphere("smooth")
     runs = [
-        evolve(space, problem, order, 1 / steps_per_unit, 1.0, mass=mass, start="exact")
+        ec.evolve(space, problem, order, 1 / steps_per_unit, 1.0, mass=mass, start="exact")
         for mass in MASSES
     ]
     marks = [round(t * steps_per_unit) for t in TIMES]
     rows: list[dict[str, float]] = []
     for states in islice(zip(*runs, strict=True), marks[0], None, marks[1] - marks[0]):
         one, two, three = states
-        x = problem.exact.x(space.nodes, one.t)
-        exact = problem.exact.u(x, one.t)
-        norm = partial(_norm, *space.mass_stiffness(x))
+        exact = exact_state(space, problem, one.t)
+        norm = partial(_norm, *space.mass_stiffness(exact.x))
         row = {
             "difference": norm(two.u - one.u),
             "difference_updated": norm(three.u - one.u),
             "difference_x": norm(two.x - one.x),
-            "size": norm(exact),
+            "size": norm(exact.u),
         }
         for suffix, state in (("", one), ("_reassembled", two), ("_updated", three)):
-            lifted = errors.lifted(space, problem, state)
+            lifted = ec.errors.lifted(space, problem, state)
             row |= {
-                f"error{suffix}": norm(state.u - exact),
-                f"error_x{suffix}": norm(state.x - x),
+                f"error{suffix}": norm(state.u - exact.u),
+                f"error_x{suffix}": norm(state.x - exact.x),
                 f"lifted{suffix}": float(np.hypot(lifted.u_l2, lifted.u_h1)),
             }
         rows.append(row)
@@ -99,41 +93,43 @@ def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> 
 
 def _norm(M: csr_array, A: csr_array, w: Array) -> float:
     """(L2^2 + H1 seminorm^2)^{1/2} of nodal values."""
-    return float(np.hypot(errors.seminorm(M, w), errors.seminorm(A, w)))
+    return float(np.hypot(ec.errors.seminorm(M, w), ec.errors.seminorm(A, w)))
 
 
 class Surface(NamedTuple):
     """A problem, a mesh and the times between which runs are compared."""
 
-    problem: Callable[[], Problem]
-    space: Callable[[], SurfaceSpace]
+    problem: Callable[[], ec.Problem]
+    space: Callable[[], ec.SurfaceSpace]
     begin: float
     end: float
 
 
 def _to_ellipsoid(x: Array) -> Array:
-    return AXES * to_unit_sphere(x / AXES)
+    return AXES * ec.to_unit_sphere(x / AXES)
 
 
-def _ellipsoid_mesh() -> SurfaceSpace:
-    tri = sphere("icosahedron", 1)
+def _ellipsoid_mesh() -> ec.SurfaceSpace:
+    tri = ec.sphere("icosahedron", 1)
     tri.vertices = tri.vertices * AXES
-    return SurfaceSpace(tri, 2, _to_ellipsoid)
+    return ec.SurfaceSpace(tri, 2, _to_ellipsoid)
 
 
-def _ellipsoid() -> Problem:
+def _ellipsoid() -> ec.Problem:
     """An ellipsoid that grows by what it carries, more at one end; f = 0."""
-    return Problem(u0=lambda x: 3 + x[:, 0] + x[:, 1] * x[:, 2], g=lambda u, grad_u, x, t: u)
+    return ec.Problem(u0=lambda x: 3 + x[:, 0] + x[:, 1] * x[:, 2], g=lambda u, grad_u, x, t: u)
 
 
-def _sphere_mesh() -> SurfaceSpace:
-    return SurfaceSpace(sphere("icosahedron", 1), 2, to_unit_sphere)
+def _sphere_mesh() -> ec.SurfaceSpace:
+    return ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
 
 
 SURFACES = {
-    "growing sphere": Surface(growing_sphere, _sphere_mesh, 0.25, 1.0),
+    "growing sphere": Surface(ec.problems.growing_sphere, _sphere_mesh, 0.25, 1.0),
     "ellipsoid": Surface(_ellipsoid, _ellipsoid_mesh, 0.25, 1.0),
-    "expanding sphere": Surface(lambda: expanding_sphere("smooth"), _sphere_mesh, 0.0, 0.5),
+    "expanding sphere": Surface(
+        lambda: ec.problems.expanding_sphere("smooth"), _sphere_mesh, 0.0, 0.5
+    ),
 }
 """Their problems have no explicit time, except that of the expanding sphere, which begins at 0."""
 
@@ -176,23 +172,22 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
     updated: 4.0
     reassembled: 2.0
     """
-    if surface not in SURFACES:
-        raise ValueError(f"surface must be one of {sorted(SURFACES)}, got {surface!r}")
+    one_of("surface", surface, tuple(SURFACES))
     if any(fine % n for n in steps_per_unit):
         raise ValueError(f"steps_per_unit must divide fine = {fine}, got {list(steps_per_unit)}")
     make_problem, make_space, begin, end = SURFACES[surface]
     problem, space = make_problem(), make_space()
-    past = evolve(space, problem, 5, 1 / fine, end, start="euler", solver="direct")
-    states = [State(s.t - begin, s.x, s.v, s.u) for s in islice(past, round(begin * fine), None)]
+    past = ec.evolve(space, problem, 5, 1 / fine, end, start="euler", solver="direct")
+    states = [ec.State(s.t - begin, s.x, s.v, s.u) for s in islice(past, round(begin * fine), None)]
 
-    def amount(state: State) -> float:
+    def amount(state: ec.State) -> float:
         return float(space.load(state.x, space.evaluate(state.u)).sum())
 
     results: dict[str, list[float]] = {}
     for mass in MASSES:
         for steps in steps_per_unit:
             every = fine // steps
-            run = evolve(
+            run = ec.evolve(
                 space,
                 problem,
                 order,
@@ -202,8 +197,8 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
                 start=states[: order * every : every],
                 solver="direct",
             )
-            last = final(run)
-            e = errors.difference(space, last, states[-1])
+            last = ec.study.final(run)
+            e = ec.errors.difference(space, last, states[-1])
             row = {"u": e.u_l2, "u_h1": e.u_h1, "x": e.x_l2}
             if problem.f is None:
                 row["amount"] = amount(last) / amount(states[0]) - 1

@@ -6,18 +6,15 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
+import esfem_core as ec
+from esfem_core.checks import Array, number
 from esfem_core.companion.campaign import Experiment
-from esfem_core.elements import SurfaceSpace, tabulate
-from esfem_core.problems import Problem, expanding_sphere
-from esfem_core.stepping import State, evolve
-from esfem_core.surfaces import sphere, to_unit_sphere
+from esfem_core.elements import tabulate
 
 __all__ = ["EXPERIMENTS", "assemble_by_element", "runtime"]
 
-Array = NDArray[np.float64]
 STEPS_PER_ROUND = 40
 
 
@@ -47,6 +44,11 @@ def runtime(*, refinements: int, solver: str, seconds: float) -> dict[str, Any]:
         M(x^n) at all levels to one of (2.19). The same with assembly element by element, M(x^n)
         alone being the addition: "share_by_element", "with_matrix_by_element". "nodes", "rounds".
 
+    Raises
+    ------
+    ValueError
+        If the seconds are negative, or the solver refuses an argument.
+
     Examples
     --------
     >>> row = runtime(refinements=0, solver="lagged", seconds=0.1)
@@ -54,10 +56,11 @@ def runtime(*, refinements: int, solver: str, seconds: float) -> dict[str, Any]:
     >>> 1 < low <= median <= high
     True
     """
-    space = SurfaceSpace(sphere("octahedron", refinements), 2, to_unit_sphere)
-    problem, order = expanding_sphere("smooth"), 3
+    seconds = number("seconds", seconds, least=0)
+    space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), 2, ec.to_unit_sphere)
+    problem, order = ec.problems.expanding_sphere("smooth"), 3
     runs = [
-        partial(evolve, space, problem, order, 1 / 160, 1.0, mass=mass, solver=solver)
+        partial(ec.evolve, space, problem, order, 1 / 160, 1.0, mass=mass, solver=solver)
         for mass in ("extrapolated", "updated")
     ]
     rounds: list[Array] = []
@@ -108,7 +111,7 @@ def runtime(*, refinements: int, solver: str, seconds: float) -> dict[str, Any]:
 
 
 def assemble_by_element(
-    space: SurfaceSpace, state: State, problem: Problem | None = None
+    space: ec.SurfaceSpace, state: ec.State, problem: ec.Problem | None = None
 ) -> tuple[list[csr_array], list[Array]]:
     """Assemble in a loop over the elements, as the formulas of [N] 7.1 and 7.2 are written.
 
@@ -127,8 +130,8 @@ def assemble_by_element(
 
     Examples
     --------
-    >>> space = SurfaceSpace(sphere("octahedron", 1), 2, to_unit_sphere)
-    >>> [M], _ = assemble_by_element(space, State(0.0, space.nodes, None, space.nodes[:, 0]))
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    >>> [M], _ = assemble_by_element(space, ec.State(0.0, space.nodes, None, space.nodes[:, 0]))
     >>> bool(abs(M - space.mass_stiffness(space.nodes)[0]).max() < 1e-15)
     True
     """
