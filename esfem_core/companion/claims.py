@@ -15,6 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from esfem_core.checks import number
+
 __all__ = [
     "CONFIRMED",
     "CORRECTED",
@@ -191,9 +193,9 @@ def measure(
 
     Raises
     ------
-    ValueError
-        If there is no bound, a bound is not finite, the bounds exclude each other, or `tol` comes
-        without `equals`.
+    TypeError, ValueError
+        If there is no bound, a bound is no finite number, the bounds exclude each other, or `tol`
+        is negative or comes without `equals`.
 
     Examples
     --------
@@ -208,17 +210,17 @@ def measure(
         raise ValueError("a measurement needs a name")
     if at_least is None and at_most is None and equals is None:
         raise ValueError(f"{name!r}: say what is expected with at_least, at_most or equals")
-    given = {"at_least": at_least, "at_most": at_most, "equals": equals, "tol": tol}
-    bounds = {key: None if b is None else float(b) for key, b in given.items()}
-    for key, b in bounds.items():
-        if b is not None and not math.isfinite(b):
-            raise ValueError(f"{name!r}: {key} must be finite, not {b}")
-    low, high, target, distance = bounds.values()
+    given = {"at_least": at_least, "at_most": at_most, "equals": equals}
+    low, high, target = (
+        None if bound is None else number(f"{key} of {name!r}", bound)
+        for key, bound in given.items()
+    )
+    distance = 0.0 if tol is None else number(f"tol of {name!r}", tol, least=0)
     if low is not None and high is not None and low > high:
         raise ValueError(f"{name!r}: no number is at least {low} and at most {high}")
-    if distance is not None and (distance < 0 or (target is None and distance > 0)):
-        raise ValueError(f"{name!r}: tol is the distance allowed from equals, and not negative")
-    return Measurement(name, float(value), low, high, target, distance or 0.0)
+    if target is None and distance > 0:
+        raise ValueError(f"{name!r}: tol is the distance allowed from equals, which is missing")
+    return Measurement(name, float(value), low, high, target, distance)
 
 
 def claim(
@@ -253,8 +255,8 @@ def claim(
     >>> claim("N-2.22-delta", measure("largest difference", 1e-16, at_most=1e-15))
     ✓ N-2.22-delta: confirmed
       as printed: largest difference = 1e-16 (≤ 1e-15) ✓
-    >>> printed, mended = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
-    >>> claim("N-2.18-order", printed, corrected=[mended], note="other way round").verdict
+    >>> printed, corrected = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
+    >>> claim("N-2.18-order", printed, corrected=[corrected], note="other way round").verdict
     'confirmed with a correction'
     """
     if not _ID.fullmatch(id):

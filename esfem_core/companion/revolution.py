@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
+
+from esfem_core.checks import Array, finite_array, whole_number
 
 __all__ = ["cosine_mode"]
 
-Array = NDArray[np.float64]
 Motion = Callable[[Array, float], Array]
 STEP = 0.02
 
@@ -51,8 +51,8 @@ def cosine_mode(
 
     Raises
     ------
-    ValueError
-        If the times do not increase from 0 on, or the degree is too small.
+    TypeError, ValueError
+        If the times do not increase from 0 on, or the degree is no integer of 2 or more.
 
     Examples
     --------
@@ -62,16 +62,16 @@ def cosine_mode(
     >>> print(f"{u(np.array([[0.6, 0.8, 0.0]]))[0] / (0.48 * np.exp(-3)):.6f}")
     1.000000
     """
-    if degree < 2:
-        raise ValueError(f"degree must be at least 2, got {degree!r}")
-    if len(times) == 0 or np.any(np.diff([0.0, *times]) < 0):
-        raise ValueError(f"times must increase and not be negative, got {list(times)}")
+    degree = whole_number("degree", degree, 2)
+    ends: list[float] = finite_array("times", times, ("n",)).tolist()
+    if not ends or np.any(np.diff([0.0, *ends]) < 0):
+        raise ValueError(f"times must increase and not be negative, got {ends}")
     halves = _Halves(degree)
 
     M, _ = halves.mass_stiffness(motion, 0.0)
     t, y = 0.0, M @ profile(halves.angles)[1:-1]
     solutions = []
-    for end in times:
+    for end in ends:
         n = int(np.ceil((end - t) / STEP))
         for k in range(n):
             y = _radau(halves, motion, t + (end - t) * k / n, (end - t) / n, y)

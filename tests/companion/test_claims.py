@@ -2,7 +2,9 @@
 
 import json
 import math
+from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from esfem_core.companion.claims import (
@@ -63,6 +65,14 @@ def test_a_value_that_is_not_finite_never_holds(value, bounds):
 def test_measurements_that_could_not_fail_or_not_hold_are_refused(arguments):
     with pytest.raises(ValueError, match=r"measurement|expected|finite|number|tol"):
         measure(value=1.0, **arguments)
+
+
+def test_bounds_are_real_numbers():
+    with pytest.raises(TypeError, match="at_most of 'order' must be a finite number, got True"):
+        measure("order", 1.0, at_most=True)
+    with pytest.raises(ValueError, match="tol of 'order' must be a finite number >= 0, got -1"):
+        measure("order", 1.0, equals=1, tol=-1)
+    assert measure("order", 1.0, equals=Fraction(3, 2), tol=np.float32(0.5)).holds
 
 
 @pytest.mark.parametrize(

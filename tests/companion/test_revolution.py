@@ -48,9 +48,11 @@ def test_degrees_agree():
     np.testing.assert_allclose(low(P), high(P), atol=2e-5 * abs(high(P)).max())
 
 
-def test_refusals():
-    with pytest.raises(ValueError, match="degree must be at least 2, got 1"):
+def test_degrees_and_times_are_refused_by_name():
+    with pytest.raises(ValueError, match="degree must be an integer >= 2, got 1"):
         cosine_mode(lambda p, t: p, np.sin, [1.0], degree=1)
     for times in ([], [-1.0], [1.0, 0.5]):
         with pytest.raises(ValueError, match="times must increase and not be negative"):
             cosine_mode(lambda p, t: p, np.sin, times)
+    with pytest.raises(ValueError, match=r"times must be finite, but times\[1\] is nan"):
+        cosine_mode(lambda p, t: p, np.sin, [0.5, np.nan])
