@@ -4,6 +4,7 @@ An experiment is a function of its parameters and a list of chains of parameters
 chain run in their order, so that a chain can end early (when a smaller step changes nothing any
 more); different chains run side by side. Each finished case is appended to a file of JSON lines,
 with what is needed to judge and to repeat it; a second run goes on where the first one stopped.
+:func:`stored` reads the rows that the book shows.
 """
 
 import json
@@ -16,12 +17,27 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from esfem_core.checks import whole_number
 from esfem_core.companion.environment import environment
 
-__all__ = ["Experiment", "Row", "case", "provenance", "read", "run", "select"]
+__all__ = [
+    "DATA",
+    "Experiment",
+    "Row",
+    "case",
+    "performance",
+    "provenance",
+    "read",
+    "run",
+    "select",
+    "stored",
+]
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
+
+DATA = Path(__file__).parent / "data"
+"""Folder of the book's stored results, a part of the package."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +75,7 @@ class Row:
     ----------
     parameters, results : dict
     provenance : dict
-        seconds, date (UTC), package version, hash of the package's source, versions of Python,
-        NumPy and SciPy, processor.
+        "seconds", and what :func:`esfem_core.companion.environment.environment` says.
     """
 
     parameters: Parameters
@@ -80,7 +95,7 @@ def read(path: str | Path) -> list[Row]:
     path = Path(path)
     if not path.exists():
         return []
-    *lines, _ = path.read_text().split("\n")
+    *lines, _ = path.read_text("utf8").split("\n")
     try:
         return [Row(**json.loads(line)) for line in lines]
     except (json.JSONDecodeError, TypeError) as error:
@@ -100,15 +115,75 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
 
 
+def stored(name: str, /, **parameters: Any) -> list[Row]:
+    """Rows with these parameters among the stored results of an experiment.
+
+    They are data of the package, found wherever it is installed. (:func:`read` reads those that
+    a run has put into another folder.)
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment.
+    **parameters
+        As for :func:`select`.
+
+    Returns
+    -------
+    list of Row
+        In the order in which they were computed; never empty.
+
+    Raises
+    ------
+    LookupError
+        If there is no such row.
+
+    Examples
+    --------
+    >>> [row] = stored("nick_theorem", order=3, refinements=1, step=1 / 40)
+    >>> print(f"{row.results['x']:.1e}")
+    2.3e-02
+    """
+    rows = select(read(DATA / f"{name}.jsonl"), **parameters)
+    if not rows:
+        given = ", ".join(f"{key} = {value!r}" for key, value in parameters.items())
+        raise LookupError(
+            f"no results of {name}{f' with {given}' if given else ''} are stored; the book's "
+            f"cases are computed by: python -m esfem_core.companion.experiments {name}"
+        )
+    return rows
+
+
+def performance() -> dict[str, Any]:
+    """The stored measurements of ``benchmarks/run.py``.
+
+    Raises
+    ------
+    LookupError
+        If there are none.
+
+    Examples
+    --------
+    >>> sorted(performance()["machine"])[:3]
+    ['BLAS', 'date', 'esfem_core']
+    """
+    path = DATA / "performance.json"
+    if not path.exists():
+        raise LookupError("no measurements are stored; make them with: python benchmarks/run.py")
+    found: dict[str, Any] = json.loads(path.read_text("utf8"))
+    return found
+
+
 def provenance(rows: Sequence[Row]) -> str:
     """Say in two lines where rows come from, to stand beside a figure.
 
     Examples
     --------
-    >>> here = {"machine": "Abacus", "date": "2026-01-31", "esfem_core": "0.1.0, source 0123"}
-    >>> print(provenance([Row({}, {}, {"seconds": s, **here}) for s in (40.0, 80.0)]))
-    2 runs, 2.0 minutes in all, on Abacus,
-    2026-01-31, esfem_core 0.1.0, source 0123
+    >>> where = {"machine": "Abacus", "date": "2026-01-31"}
+    >>> where = [where | {"esfem_core": f"0.1.0, source {code}"} for code in ("0123", "4567")]
+    >>> print(provenance([Row({}, {}, {"seconds": 90.0, **there}) for there in where]))
+    2 runs, 3.0 min in all, on Abacus,
+    2026-01-31, esfem_core 0.1.0, source 0123 and 4567
 
     Raises
     ------
@@ -117,15 +192,32 @@ def provenance(rows: Sequence[Row]) -> str:
     """
     if not rows:
         raise ValueError("there are no rows: the experiment has not been run yet")
-    minutes = sum(row.provenance["seconds"] for row in rows) / 60
+    seconds = sum(row.provenance["seconds"] for row in rows)
+    versions: dict[str, set[str]] = {}
+    for row in rows:
+        version, _, source = row.provenance["esfem_core"].partition(", source ")
+        versions.setdefault(version, set()).add(source)
+    code = (f"{name}, source {_enumerated(versions[name])}" for name in sorted(versions))
 
     def values(name: str) -> str:
-        return " and ".join(sorted({row.provenance[name] for row in rows}))
+        return _enumerated({row.provenance[name] for row in rows})
 
     return (
-        f"{len(rows)} runs, {minutes:.1f} minutes in all, on {values('machine')},\n"
-        f"{values('date')}, esfem_core {values('esfem_core')}"
+        f"{len(rows)} run{'s' * (len(rows) > 1)}, {_duration(seconds)} in all, "
+        f"on {values('machine')},\n{values('date')}, esfem_core {'; '.join(code)}"
     )
+
+
+def _enumerated(names: Iterable[str]) -> str:
+    *most, last = sorted(names)
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.1f} s"
 
 
 def case(experiment: Experiment, parameters: Parameters) -> Row:
@@ -159,14 +251,21 @@ def run(
 
     Raises
     ------
-    ValueError
-        If jobs is not positive.
+    TypeError, ValueError
+        If jobs is no positive integer; at once, not when the first outcome is asked for.
+    OSError
+        If the folder cannot be made.
     """
-    if jobs is not None and jobs < 1:
-        raise ValueError(f"jobs must be at least 1, but is {jobs}")
+    jobs = os.cpu_count() if jobs is None else whole_number("jobs", jobs, 1)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    pool = ProcessPoolExecutor(jobs or os.cpu_count(), mp_context=get_context("spawn"))
+    return _run(experiments, folder, jobs)
+
+
+def _run(
+    experiments: Sequence[Experiment], folder: Path, jobs: int | None
+) -> Iterator[tuple[Experiment, Row | Exception | None, int]]:
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
     running: dict[Future[Row], _Chain] = {}
 
     def go_on(chain: "_Chain") -> None:
@@ -193,7 +292,7 @@ def run(
                     yield chain.experiment, error, len(chain.waiting)
                     continue
                 row = future.result()
-                with _path(folder, chain.experiment).open("a") as file:
+                with _path(folder, chain.experiment).open("a", encoding="utf8") as file:
                     file.write(json.dumps(vars(row)) + "\n")
                 yield chain.experiment, row, chain.settle(row)
                 go_on(chain)
@@ -224,6 +323,6 @@ def _path(folder: Path, experiment: Experiment) -> Path:
 
 def _truncate(path: Path) -> None:
     """Drop a last line that an interruption has cut off."""
-    if path.exists():
-        text = path.read_text()
-        path.write_text(text[: text.rfind("\n") + 1])
+    text = path.read_text("utf8") if path.exists() else ""
+    if not text.endswith("\n") and text:
+        path.write_text(text[: text.rfind("\n") + 1], "utf8")

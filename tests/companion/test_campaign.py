@@ -65,9 +65,9 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
     ]
 
 
-def test_bad_input(tmp_path):
-    with pytest.raises(ValueError, match="jobs must be at least 1, but is 0"):
-        next(campaign.run([], tmp_path, jobs=0))
+def test_jobs_and_files_that_are_none_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="jobs must be an integer >= 1, got 0"):
+        campaign.run([], tmp_path, jobs=0)
     path = tmp_path / "demo.jsonl"
     path.write_text("no json\n{}\n")
     with pytest.raises(ValueError, match=r"demo\.jsonl is not a file of results"):
@@ -83,5 +83,24 @@ def test_provenance_names_every_machine(tmp_path):
     rows = campaign.read(tmp_path / "demo.jsonl")
     other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "A counting frame"})
     text = campaign.provenance([*rows, other])
-    assert text.startswith("6 runs, 0.0 minutes in all, on A counting frame and ")
+    assert text.startswith("6 runs, 0.0 s in all, on A counting frame and ")
     assert rows[0].provenance["machine"] in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.04, "0.0 s"), (119, "119.0 s"), (120, "2.0 min"), (9000, "2.5 h")],
+)
+def test_provenance_tells_the_time_in_a_unit_that_fits(seconds, text):
+    where = {"machine": "Abacus", "date": "2026-01-31", "esfem_core": "0.1.0, source 0123"}
+    row = campaign.Row({}, {}, {"seconds": seconds, **where})
+    assert campaign.provenance([row]).startswith(f"1 run, {text} in all, on Abacus,")
+
+
+def test_provenance_names_each_version_once():
+    codes = ["0.1.0, source aa", "0.1.0, source bb", "0.1.0, source cc", "0.2.0, source dd"]
+    where = {"machine": "Abacus", "date": "2026-01-31", "seconds": 1.0}
+    rows = [campaign.Row({}, {}, {**where, "esfem_core": code}) for code in codes + codes]
+    assert campaign.provenance(rows).endswith(
+        "esfem_core 0.1.0, source aa, bb and cc; 0.2.0, source dd"
+    )
