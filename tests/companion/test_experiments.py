@@ -1,5 +1,7 @@
 """The stored results of the book: complete, and what the code computes today."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -8,13 +10,13 @@ from esfem_core.companion import campaign
 from esfem_core.companion.experiments import EXPERIMENTS
 from esfem_core.companion.experiments.__main__ import main
 
-DATA = Path(campaign.__file__).parent / "data"
+BOOK = Path(__file__).parents[2] / "book"
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
-STORED = {name: campaign.read(DATA / f"{name}.jsonl") for name in BY_NAME}
+STORED = {name: campaign.stored(name) for name in BY_NAME}
 
 
 def test_every_file_of_results_belongs_to_an_experiment():
-    assert {path.stem for path in DATA.glob("*.jsonl")} == set(BY_NAME)
+    assert {path.stem for path in campaign.DATA.glob("*.jsonl")} == set(BY_NAME)
 
 
 @pytest.mark.parametrize("name", BY_NAME)
@@ -46,11 +48,39 @@ def test_cheap_cases_are_what_the_code_computes_today(experiment, row):
         ), key
 
 
-def test_a_wrong_name_and_a_wrong_number_are_refused(capsys):
+def test_names_numbers_and_folders_that_do_not_fit_are_refused(capsys, tmp_path):
+    file = tmp_path / "file"
+    file.touch()
     for arguments, message in [
         (["nonsense"], "no such experiment: nonsense"),
-        (["--jobs", "0"], "--jobs must be at least 1, but is 0"),
+        (["--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
+        (["--folder", f"{file}/data"], f"cannot write into {file}/data (Not a directory); "),
     ]:
         with pytest.raises(SystemExit):
             main(arguments)
         assert message in capsys.readouterr().err
+
+
+def test_the_help_names_every_experiment_and_the_folder_where_the_book_reads(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    for name, experiment in BY_NAME.items():
+        assert f"  {name} " in text
+        assert experiment.title in text
+    assert re.sub(r"\s", "", str(campaign.DATA)) in re.sub(r"\s", "", text)
+
+
+def test_an_experiment_named_twice_runs_once(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(campaign, "run", lambda names, *_: asked.extend(names) or iter(()))
+    assert main(["nick_table", "lmv_run_times", "nick_table", "--folder", str(tmp_path)]) == 0
+    assert [experiment.name for experiment in asked] == ["nick_table", "lmv_run_times"]
+
+
+@pytest.mark.parametrize("path", sorted(BOOK.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_ask_for_stored_results_by_name_and_not_by_path(path):
+    for cell in json.loads(path.read_text("utf8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "code":
+            assert not re.search(r"\.jsonl|performance\.json|[\"']data\b|data/", source), source

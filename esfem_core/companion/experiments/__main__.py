@@ -3,19 +3,37 @@
 import argparse
 import os
 from pathlib import Path
+from tempfile import TemporaryFile
+
+from tqdm import tqdm
+
+from esfem_core.checks import whole_number
+from esfem_core.companion import campaign
+from esfem_core.companion.experiments import EXPERIMENTS
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; the exit status is 1 if a case failed."""
-    os.environ.setdefault(
-        "OMP_NUM_THREADS", "1"
-    )  # one thread in each of the processes started here
+    # One thread in each of the processes started here.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from tqdm import tqdm
+    options = _options(arguments)
+    total = sum(len(chain) for experiment in options.experiments for chain in experiment.chains)
+    failures = 0
+    with tqdm(total=total, unit="case") as bar:
+        for experiment, outcome, cases in campaign.run(
+            options.experiments, options.folder, options.jobs
+        ):
+            if isinstance(outcome, Exception):
+                failures += 1
+                bar.write(f"{experiment.name}: {type(outcome).__name__}: {outcome}")
+            bar.set_description(experiment.name)
+            bar.update(cases)
+    return min(failures, 1)
 
-    from esfem_core.companion import campaign
-    from esfem_core.companion.experiments import EXPERIMENTS
 
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    """What the command line asks for: experiments, folder, jobs."""
     names = {experiment.name: experiment for experiment in EXPERIMENTS}
     listing = "\n".join(f"  {name:<28} {names[name].title}" for name in names)
     parser = argparse.ArgumentParser(
@@ -25,25 +43,29 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="name", help="experiments to run (all)")
-    parser.add_argument("--folder", type=Path, default=Path("book/data"), help="%(default)s")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=campaign.DATA,
+        help="where to keep the results (in the package, where the book reads them: %(default)s)",
+    )
     parser.add_argument("--jobs", type=int, help="processes (one for each core)")
     options = parser.parse_args(arguments)
     if unknown := set(options.names) - set(names):
         parser.error(f"no such experiment: {', '.join(sorted(unknown))}")
-    if options.jobs is not None and options.jobs < 1:
-        parser.error(f"--jobs must be at least 1, but is {options.jobs}")
-
-    chosen = [names[name] for name in options.names or names]
-    total = sum(len(chain) for experiment in chosen for chain in experiment.chains)
-    failures = 0
-    with tqdm(total=total, unit="case") as bar:
-        for experiment, outcome, cases in campaign.run(chosen, options.folder, options.jobs):
-            if isinstance(outcome, Exception):
-                failures += 1
-                bar.write(f"{experiment.name}: {type(outcome).__name__}: {outcome}")
-            bar.set_description(experiment.name)
-            bar.update(cases)
-    return min(failures, 1)
+    options.experiments = [names[name] for name in dict.fromkeys(options.names or names)]
+    try:
+        if options.jobs is not None:
+            options.jobs = whole_number("--jobs", options.jobs, 1)
+        options.folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=options.folder).close()
+    except ValueError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(
+            f"cannot write into {options.folder} ({error.strerror}); choose a folder with --folder"
+        )
+    return options
 
 
 if __name__ == "__main__":
