@@ -4,16 +4,15 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
+from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.elements import SurfaceSpace, squared_differences
-from esfem_core.problems import Exact, Problem
-from esfem_core.stepping import State
+from esfem_core.problems import Problem
+from esfem_core.stepping import State, check_state, exact_state
 
 __all__ = ["Errors", "Measure", "compare", "difference", "lifted", "seminorm", "time_norms"]
-
-Array = NDArray[np.float64]
 
 
 class Errors(NamedTuple):
@@ -34,7 +33,7 @@ Measure = Callable[[SurfaceSpace, Problem, State], Errors]
 """How far a state is from the exact solution: :func:`compare` or :func:`lifted`."""
 
 
-def seminorm(matrix: csr_array, w: Array) -> float:
+def seminorm(matrix: csr_array, w: ArrayLike) -> float:
     """(w^T matrix w)^{1/2}, summed over components.
 
     With the mass matrix M(x) this is the L2 norm on Γ_h[x] of the finite element function with
@@ -50,6 +49,11 @@ def seminorm(matrix: csr_array, w: Array) -> float:
     -------
     float
 
+    Raises
+    ------
+    ValueError
+        If `w` does not have one row for each of the matrix, or is not finite.
+
     Examples
     --------
     >>> import esfem_core as ec
@@ -60,6 +64,7 @@ def seminorm(matrix: csr_array, w: Array) -> float:
     >>> print(f"{seminorm(A, space.nodes) ** 2 / (8 * np.pi):.4f}")
     1.0000
     """
+    w = finite_array("w", w, (matrix.shape[1], "..."))
     columns = w.reshape(len(w), -1)
     # Rounding can bring a square that is zero below zero.
     return float(np.sqrt(max(np.sum(columns * (matrix @ columns)), 0.0)))
@@ -86,7 +91,8 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     Raises
     ------
     ValueError
-        If the problem has no exact solution.
+        If the problem has no exact solution, the state is not one of this space, something is not
+        finite, or u and the exact u differ in shape.
 
     Examples
     --------
@@ -97,10 +103,9 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     >>> print(f"{ec.errors.compare(space, problem, last).x_l2:.1e}")
     9.8e-06
     """
-    exact = _exact(problem)
-    x = np.asarray(exact.x(space.nodes, state.t))
-    v = None if state.v is None else exact.v(space.nodes, state.t)
-    return difference(space, state, State(state.t, x, v, exact.u(x, state.t)))
+    check_state(space, state)
+    exact = exact_state(space, problem, state.t)
+    return _difference(space, state, exact, "problem.exact")
 
 
 def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
@@ -128,7 +133,8 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     Raises
     ------
     ValueError
-        If the problem has no exact solution or the solution no closest points and origins.
+        If the problem has no exact solution or the solution no closest points and origins, or as
+        for :func:`compare`.
 
     Examples
     --------
@@ -143,21 +149,28 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     interpolation error of u: 2.0e-02 1.9e-01
     interpolation error of u: 2.6e-03 5.1e-02
     """
-    exact, t = _exact(problem), state.t
-    closest, origin = exact.closest, exact.origin
-    if closest is None or origin is None:
+    check_state(space, state)
+    t, exact = state.t, problem.exact
+    if exact is None or exact.closest is None or exact.origin is None:
         raise ValueError(
-            "lifted errors need closest points and origins: Exact(x, v, u, closest, origin)"
+            "lifted errors need an exact solution with closest points and origins: "
+            "Exact(x, v, u, closest, origin)"
         )
+    x_of, v_of, u_of = exact[:3]
+    closest, origin = exact.closest, exact.origin
     v = np.zeros_like(state.x) if state.v is None else state.v
 
-    def solution(y: Array) -> Array:
-        u = np.asarray(exact.u(y, t)).reshape(len(y), -1)
-        return np.hstack([y, exact.v(origin(y, t), t), u])
+    def on_surface(y: Array) -> Array:
+        return finite_array("exact.closest(x, t)", closest(y, t), (len(y), 3))
 
-    x = np.asarray(exact.x(space.nodes, t))
+    def solution(y: Array) -> Array:
+        velocity = finite_array("exact.v(p, t)", v_of(origin(y, t), t), (len(y), 3))
+        values = finite_array("exact.u(x, t)", u_of(y, t), (len(y), *state.u.shape[1:]))
+        return np.hstack([y, velocity, values.reshape(len(y), -1)])
+
+    x = finite_array("exact.x(p, t)", x_of(space.nodes, t), (len(space.nodes), 3))
     w = np.hstack([state.x, v, state.u.reshape(len(x), -1)])
-    squares = squared_differences(space, x, lambda y: closest(y, t), w, solution)
+    squares = squared_differences(space, x, on_surface, w, solution)
     l2, h1 = ([np.sqrt(part.sum()) for part in np.split(s, [3, 6])] for s in squares)
     if state.v is None:
         l2[1] = h1[1] = np.nan
@@ -166,18 +179,13 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     return Errors(x_l2, x_h1, v_l2, v_h1, u_l2, u_h1)
 
 
-def _exact(problem: Problem) -> Exact:
-    if problem.exact is None:
-        raise ValueError("the problem has no exact solution to compare with")
-    return problem.exact
-
-
 def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
     """Differences of two discrete solutions on the same space, on Γ_h[reference.x].
 
-    Against a run with a much smaller step this is the error of time discretisation alone. Both
-    runs must then start alike at t = 0 (``start="euler"``): exact starting values at (p - 1) tau
-    restart the spatial error there, which shows as a difference of first order in tau.
+    Against a run with a much smaller step this is the temporal error alone. Both runs must then
+    start alike at t = 0 (``start="euler"``) or with states of the finer one (`fine` of
+    :func:`esfem_core.study.time_study`): exact starting values at (p - 1) tau restart the spatial
+    error there, which shows as a difference of first order in tau.
 
     Parameters
     ----------
@@ -192,7 +200,8 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
     Raises
     ------
     ValueError
-        If the states are not at the same time.
+        If the states are not at the same time, not on this space, not finite, or their u differ in
+        shape.
 
     Examples
     --------
@@ -206,8 +215,19 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
     >>> print(f"{np.log2(coarse / fine):.1f}")
     2.0
     """
+    check_state(space, state)
+    return _difference(space, state, reference, "reference")
+
+
+def _difference(space: SurfaceSpace, state: State, reference: State, name: str) -> Errors:
+    check_state(space, reference, name)
     if abs(state.t - reference.t) > 1e-9 * max(1.0, abs(reference.t)):
         raise ValueError(f"the states are at different times, {state.t} and {reference.t}")
+    if state.u.shape != reference.u.shape:
+        raise ValueError(
+            f"u of state and of {name} must have one shape, "
+            f"got {state.u.shape} and {reference.u.shape}"
+        )
     M, A = space.mass_stiffness(reference.x)
 
     def norms(a: Array | None, b: Array | None) -> tuple[float, float]:
@@ -235,19 +255,21 @@ def time_norms(
     states : iterable of State
         A run with constant step tau, as :func:`esfem_core.evolve` yields it; none is kept.
     window : (float, float)
-        Times t_n to count, both ends included (to 1e-9), starting states excluded.
+        First and last time t_n to count, both included (to 1e-9), starting states excluded.
     measure : callable, optional
         :func:`compare` or :func:`lifted`.
 
     Returns
     -------
     (float, float)
-        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of `measure`.
+        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of `measure`. An error that is
+        NaN makes them NaN.
 
     Raises
     ------
     ValueError
-        If no step lies in the window, or the problem has no exact solution.
+        If no step lies in the window, the times do not increase by one constant step, or as
+        `measure` does.
 
     Examples
     --------
@@ -258,12 +280,30 @@ def time_norms(
     >>> print("{:.1e} {:.1e}".format(*time_norms(space, problem, states, window=(0.5, 1.0))))
     4.0e-03 6.4e-03
     """
+    first, last = real_array("window", window, (2,))
     times, errors = [], []
     for state in states:
         times.append(state.t)
-        if state.v is not None and window[0] - 1e-9 <= state.t <= window[1] + 1e-9:
+        _check_step(times)
+        if state.v is not None and first - 1e-9 <= state.t <= last + 1e-9:
             errors.append(measure(space, problem, state))
     if not errors:
         raise ValueError(f"no step after the starting states lies in the window {window}")
+    if len(times) < 2:
+        raise ValueError("one state does not tell the step of the run: give two or more")
     tau = (times[-1] - times[0]) / (len(times) - 1)
-    return max(e.u_l2 for e in errors), float(np.sqrt(tau * sum(e.u_h1**2 for e in errors)))
+    # Unlike Python's max, NumPy's does not skip NaN.
+    largest = float(np.max([e.u_l2 for e in errors]))
+    return largest, float(np.sqrt(tau * sum(e.u_h1**2 for e in errors)))
+
+
+def _check_step(times: list[float]) -> None:
+    """Refuse the last time if it is not one step after the last but one."""
+    if len(times) < 2:
+        return
+    tau, last = times[1] - times[0], times[-1] - times[-2]
+    if not (tau > 0 and abs(last - tau) <= 1e-6 * tau):
+        raise ValueError(
+            "the states must be one positive, constant step apart, "
+            f"got steps of {tau:g} and {last:g}"
+        )

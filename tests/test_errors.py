@@ -1,5 +1,7 @@
 """Norms and errors of known functions."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -51,9 +53,108 @@ def test_a_seminorm_of_a_constant_is_zero_and_not_nan():
     assert 0 <= ec.errors.seminorm(A, np.full(len(SPACE.nodes), 7.0)) < 1e-5
 
 
-def test_refusals():
+def test_problems_without_what_an_error_needs_are_refused():
     problem = ec.Problem(u0=lambda x: x[:, 0])
-    with pytest.raises(ValueError, match="no exact solution to compare with"):
+    with pytest.raises(ValueError, match="a problem with an exact solution"):
         ec.errors.compare(SPACE, problem, exact_state(0.0))
+    with pytest.raises(ValueError, match="closest points and origins"):
+        ec.errors.lifted(SPACE, problem, exact_state(0.0))
+    without = dataclasses.replace(PROBLEM, exact=PROBLEM.exact._replace(origin=None))
+    with pytest.raises(ValueError, match="closest points and origins"):
+        ec.errors.lifted(SPACE, without, exact_state(0.0))
+
+
+def test_states_at_different_times_are_refused():
     with pytest.raises(ValueError, match=r"different times, 0\.1 and 0\.2"):
         ec.errors.difference(SPACE, exact_state(0.1), exact_state(0.2))
+
+
+def test_a_column_is_not_broadcast_against_a_vector():
+    state, n = exact_state(0.3), len(SPACE.nodes)
+    column = dataclasses.replace(state, u=state.u[:, None])
+    exact_column = PROBLEM.exact._replace(u=lambda x, t: PROBLEM.exact.u(x, t)[:, None])
+    problem = dataclasses.replace(PROBLEM, exact=exact_column)
+    with pytest.raises(ValueError, match=rf"got \({n},\) and \({n}, 1\)"):
+        ec.errors.compare(SPACE, problem, state)
+    with pytest.raises(ValueError, match=rf"got \({n}, 1\) and \({n},\)"):
+        ec.errors.compare(SPACE, PROBLEM, column)
+    with pytest.raises(ValueError, match=rf"of reference .*, got \({n},\) and \({n}, 1\)"):
+        ec.errors.difference(SPACE, state, column)
+    with pytest.raises(
+        ValueError, match=r"exact\.u\(x, t\) must have shape \(\d+,\), got \(\d+, 1\)"
+    ):
+        ec.errors.lifted(SPACE, problem, state)
+    with pytest.raises(ValueError, match=r"exact\.u\(x, t\) must have shape \(\d+, 1\)"):
+        ec.errors.lifted(SPACE, PROBLEM, column)
+
+
+@pytest.mark.parametrize("measure", [ec.errors.compare, ec.errors.lifted])
+def test_what_is_no_state_of_the_space_is_refused(measure):
+    state, n = exact_state(0.3), len(SPACE.nodes)
+    for change, message in [
+        ({"x": state.x[1:]}, rf"state\.x must have shape \({n}, 3\), got \({n - 1}, 3\)"),
+        ({"v": state.v[:, 0]}, rf"state\.v must have shape \({n}, 3\), got \({n},\)"),
+        ({"u": state.u[:1]}, rf"state\.u must have shape \({n},\) or \({n}, m\), got \(1,\)"),
+        ({"u": np.where(np.arange(n) == 7, np.nan, 1.0)}, r"state\.u\[7\] is nan"),
+        ({"t": np.inf}, r"state\.t must be a finite number, got inf"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            measure(SPACE, PROBLEM, dataclasses.replace(state, **change))
+
+
+def test_a_seminorm_wants_a_row_for_each_of_the_matrix():
+    M, _ = SPACE.mass_stiffness(SPACE.nodes)
+    with pytest.raises(ValueError, match=r"w must have shape \(2562, \.\.\.\), got \(3, 2562\)"):
+        ec.errors.seminorm(M, SPACE.nodes.T)
+
+
+class TestNormsOverARun:
+    RUN = tuple(exact_state(t) for t in (0.0, 0.1, 0.2, 0.3))
+
+    def norms(self, states, window=(0.0, 0.3), measure=ec.errors.compare):
+        return ec.errors.time_norms(SPACE, PROBLEM, states, window, measure)
+
+    def test_they_are_the_largest_error_and_a_sum_of_squares(self):
+        errors = iter([1.0, 3.0, 2.0, 5.0])
+
+        def measure(space, problem, state):
+            return ec.errors.Errors(0, 0, 0, 0, u_l2=(e := next(errors)), u_h1=2 * e)
+
+        found = self.norms(self.RUN, (0.0, 0.25), measure)
+        assert found == pytest.approx((3.0, np.sqrt(0.1 * 4 * (1 + 9 + 4))))
+
+    def test_starting_states_are_not_counted(self):
+        start = dataclasses.replace(self.RUN[0], v=None, u=self.RUN[0].u + 1)
+        assert max(self.norms([start, *self.RUN[1:]])) < 1e-15
+
+    @pytest.mark.parametrize("where", [1, 3])
+    def test_nan_is_not_hidden(self, where):
+        def measure(space, problem, state):
+            bad = state is self.RUN[where]
+            return ec.errors.Errors(*[np.nan if bad else 1.0] * 6)
+
+        assert np.isnan(self.norms(self.RUN, measure=measure)).all()
+        states = list(self.RUN)
+        states[where] = dataclasses.replace(states[where], u=np.nan * states[where].u)
+        with pytest.raises(ValueError, match="must be finite, but state"):
+            self.norms(states)
+
+    @pytest.mark.parametrize(
+        ("states", "message"),
+        [
+            ((RUN[0], RUN[1], RUN[3]), "got steps of 0.1 and 0.2"),
+            (RUN[::-1], "got steps of -0.1 and -0.1"),
+            ((RUN[1], RUN[1]), "got steps of 0 and 0"),
+            (RUN[1:2], "one state does not tell the step"),
+            ((), "no step after the starting states lies in the window"),
+        ],
+    )
+    def test_what_is_no_run_is_refused(self, states, message):
+        with pytest.raises(ValueError, match=message):
+            self.norms(states)
+
+    def test_an_empty_window_is_refused(self):
+        with pytest.raises(ValueError, match="no step after the starting states"):
+            self.norms(self.RUN, (0.31, 0.39))
+        with pytest.raises(ValueError, match=r"window must have shape \(2,\), got \(3,\)"):
+            self.norms(self.RUN, (0.0, 0.1, 0.2))

@@ -4,6 +4,15 @@ from esfem_core.stepping import bdf
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
 from esfem_core.stepping.start import exact_state
-from esfem_core.stepping.state import EvolutionError, State
+from esfem_core.stepping.state import EvolutionError, State, check_state
 
-__all__ = ["MASSES", "EvolutionError", "Perturbation", "State", "bdf", "evolve", "exact_state"]
+__all__ = [
+    "MASSES",
+    "EvolutionError",
+    "Perturbation",
+    "State",
+    "bdf",
+    "check_state",
+    "evolve",
+    "exact_state",
+]

@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from esfem_core.checks import Array, finite_array, number
+from esfem_core.elements import SurfaceSpace
 
-__all__ = ["EvolutionError", "State"]
-
-Array = NDArray[np.float64]
+__all__ = ["EvolutionError", "State", "check_state"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +27,42 @@ class State:
     x: Array
     v: Array | None
     u: Array
+
+
+def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
+    """Refuse what is no state of this space.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    state : State
+    name : str
+        What the message calls it.
+
+    Raises
+    ------
+    TypeError
+        If an array does not hold real numbers.
+    ValueError
+        If an array has not one row for each node of the space, or something is not finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    >>> check_state(space, State(0.0, space.nodes, None, space.nodes[:5, 0]))
+    Traceback (most recent call last):
+        ...
+    ValueError: state.u must have shape (6,) or (6, m), got (5,)
+    """
+    n = len(space.nodes)
+    number(f"{name}.t", state.t)
+    finite_array(f"{name}.x", state.x, (n, 3))
+    if state.v is not None:
+        finite_array(f"{name}.v", state.v, (n, 3))
+    u = finite_array(f"{name}.u", state.u, ("N", "..."))
+    if u.ndim > 2 or len(u) != n:
+        raise ValueError(f"{name}.u must have shape ({n},) or ({n}, m), got {u.shape}")
 
 
 class EvolutionError(RuntimeError):
