@@ -1,22 +1,21 @@
 """Convergence studies: errors over a range of step or mesh sizes, and their observed orders."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from esfem_core import errors
+from esfem_core.checks import Array, finite_array, number, real_array, whole_number
 from esfem_core.elements import SurfaceSpace
+from esfem_core.errors import Errors, Measure, compare, difference, lifted
 from esfem_core.problems import Problem
 from esfem_core.stepping import State, evolve
 from esfem_core.tables import html_table
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
-
-Array = NDArray[np.float64]
 
 
 def final(states: Iterable[State]) -> State:
@@ -33,49 +32,157 @@ def final(states: Iterable[State]) -> State:
     return last[0]
 
 
-def observed_orders(sizes: Sequence[float] | Array, values: Sequence[float] | Array) -> Array:
+def observed_orders(sizes: ArrayLike, values: ArrayLike) -> Array:
     """Orders between neighbours, log(e_i/e_{i+1})/log(h_i/h_{i+1}).
 
     Parameters
     ----------
-    sizes, values : (n,) sequences of positive floats
+    sizes : (n,) sequence of float
+        Positive, neighbours different.
+    values : (n,) sequence of float
+        Not negative.
 
     Returns
     -------
     (n-1,) float array
+        NaN beside a value that is zero, NaN or infinite.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the shapes differ or a number is out of range.
 
     Examples
     --------
     >>> observed_orders([0.2, 0.1, 0.05], [4.0, 1.0, 0.25])
     array([2., 2.])
     """
-    h, e = np.log(np.asarray(sizes, dtype=float)), np.log(np.asarray(values, dtype=float))
-    orders: Array = (e[:-1] - e[1:]) / (h[:-1] - h[1:])
-    return orders
+    h = finite_array("sizes", sizes, ("n",))
+    e = real_array("values", values, (len(h),))
+    if np.any(h <= 0) or np.any(h[1:] == h[:-1]):
+        raise ValueError(f"sizes must be positive, neighbours different, got {h.tolist()}")
+    if np.any(e < 0):
+        raise ValueError(f"values must not be negative, got {e.tolist()}")
+    e = np.where((e > 0) & (e < np.inf), e, np.nan)  # zero has no order
+    h, e = np.log(h), np.log(e)
+    return np.asarray((e[:-1] - e[1:]) / (h[:-1] - h[1:]))
 
 
 @dataclass(frozen=True)
 class ConvergenceTable:
     """Errors for a sequence of step sizes or mesh sizes; displays as a table in a notebook.
 
-    Attributes
+    Parameters
     ----------
     parameter : str
         What is refined: "tau" or "h".
     sizes : (n,) float array
-    errors : dict of str to (n,) float array
-        Keys are the fields of :class:`esfem_core.errors.Errors`.
+    errors : mapping of str to (n,) float array
+        Such as the fields of :class:`esfem_core.errors.Errors`. Sequences become arrays.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a column does not have one number for each size.
     """
 
     parameter: str
     sizes: Array
     errors: dict[str, Array]
 
+    def __post_init__(self) -> None:
+        sizes = finite_array("sizes", self.sizes, ("n",))
+        columns = {n: real_array(n, e, (len(sizes),)) for n, e in self.errors.items()}
+        object.__setattr__(self, "sizes", sizes)
+        object.__setattr__(self, "errors", columns)
+
+    @classmethod
+    def of(
+        cls,
+        parameter: str,
+        sizes: ArrayLike,
+        rows: Sequence[Errors | Mapping[str, float]],
+    ) -> "ConvergenceTable":
+        """Make a table of rows, one for each size, with the same names in each.
+
+        Parameters
+        ----------
+        parameter : str
+        sizes : (n,) sequence of float
+        rows : sequence of n :class:`esfem_core.errors.Errors` or mappings
+
+        Returns
+        -------
+        ConvergenceTable
+
+        Raises
+        ------
+        ValueError
+            If there are no rows, their number is not that of the sizes, or their names differ.
+
+        Examples
+        --------
+        >>> print(ConvergenceTable.of("h", [0.2, 0.1], [{"area": 4e-3}, {"area": 1e-3}]))
+                h       area      order
+              0.2   4.00e-03
+              0.1   1.00e-03       2.00
+        """
+        named = [dict(r) if isinstance(r, Mapping) else r._asdict() for r in rows]
+        if not named:
+            raise ValueError("a table needs at least one row")
+        names = list(named[0])
+        if any(list(row) != names for row in named):
+            raise ValueError(f"all rows must have the names {names}")
+        return cls(
+            parameter,
+            np.asarray(sizes),
+            {name: np.array([row[name] for row in named]) for name in names},
+        )
+
+    @classmethod
+    def join(cls, tables: Mapping[str, "ConvergenceTable"], name: str) -> "ConvergenceTable":
+        """One error of several tables side by side.
+
+        Parameters
+        ----------
+        tables : mapping of str to ConvergenceTable
+            With the names of the new columns, and the same sizes.
+        name : str
+            The error to take from each.
+
+        Returns
+        -------
+        ConvergenceTable
+
+        Raises
+        ------
+        ValueError
+            If there are no tables, or they differ in sizes or parameter.
+        KeyError
+            If one does not have this error.
+
+        Examples
+        --------
+        >>> first = ConvergenceTable("tau", [0.2, 0.1], {"u_l2": [4e-2, 2e-2]})
+        >>> second = ConvergenceTable("tau", [0.2, 0.1], {"u_l2": [4e-3, 1e-3]})
+        >>> print(ConvergenceTable.join({"p = 1": first, "p = 2": second}, "u_l2"))
+              tau      p = 1      order      p = 2      order
+              0.2   4.00e-02              4.00e-03
+              0.1   2.00e-02       1.00   1.00e-03       2.00
+        """
+        if not tables:
+            raise ValueError("there are no tables to join")
+        one = next(iter(tables.values()))
+        for key, table in tables.items():
+            if table.parameter != one.parameter or not np.array_equal(table.sizes, one.sizes):
+                raise ValueError(f"tables to join must have the same sizes, {key!r} has others")
+        return cls(one.parameter, one.sizes, {key: table[name] for key, table in tables.items()})
+
     def __getitem__(self, name: str) -> Array:
         return self.errors[name]
 
     def orders(self, name: str) -> Array:
-        """Observed orders of one error between neighbouring sizes."""
+        """Observed orders of one error between neighbouring sizes, see :func:`observed_orders`."""
         return observed_orders(self.sizes, self.errors[name])
 
     def select(self, *names: str) -> "ConvergenceTable":
@@ -87,8 +194,8 @@ class ConvergenceTable:
         for name, values in self.errors.items():
             header += [name, "order"]
             columns += [
-                [f"{value:.2e}" for value in values],
-                ["", *(f"{order:.2f}" for order in self.orders(name))],
+                [_shown(value, ".2e") for value in values],
+                ["", *(_shown(order, ".2f") for order in self.orders(name))][: len(values)],
             ]
         return header, [list(row) for row in zip(*columns, strict=True)]
 
@@ -101,14 +208,20 @@ class ConvergenceTable:
         return html_table(header, rows, "esfem-convergence").text
 
 
+def _shown(value: float, spec: str) -> str:
+    return "–" if np.isnan(value) else format(value, spec)
+
+
 def time_study(
     space: SurfaceSpace,
     problem: Problem,
     order: int,
-    steps: Sequence[float],
+    steps: Sequence[float] | Array,
     end: float,
     reference: State | None = None,
-    measure: errors.Measure = errors.compare,
+    measure: Measure = compare,
+    *,
+    fine: Sequence[State] | None = None,
     **options: Any,
 ) -> ConvergenceTable:
     """Errors at the end for several step sizes.
@@ -120,6 +233,7 @@ def time_study(
     order : int
         p.
     steps : sequence of float
+        At least one.
     end : float
     reference : State, optional
         Solution to compare with on the same space (see :func:`esfem_core.errors.difference`);
@@ -127,12 +241,22 @@ def time_study(
     measure : callable, optional
         How to compare with the exact solution: :func:`esfem_core.errors.compare`, at the nodes,
         or :func:`esfem_core.errors.lifted`, on the exact surface.
+    fine : sequence of State, optional
+        A run with a constant step, of which all `steps` are multiples, that ends at `end`. Its
+        last state is the reference, and each run starts with states of it, the first at
+        ``fine[0].t``. What separates the runs at the end is then the temporal error alone, of
+        order p; other starts would add errors of their own.
     **options
         Passed to :func:`esfem_core.evolve`.
 
     Returns
     -------
     ConvergenceTable
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is out of range or there is nothing to compare with; before a run begins.
 
     Examples
     --------
@@ -145,15 +269,52 @@ def time_study(
          0.05   1.27e-02
         0.025   3.19e-03       2.00
        0.0125   7.82e-04       2.03
+
+    The temporal error of BDF3 alone, of a problem without an exact solution:
+
+    >>> space, problem = ec.SurfaceSpace(ec.sphere("octahedron", 2)), ec.problems.baseball_bat()
+    >>> fine = list(ec.evolve(space, problem, 5, 1 / 320, 1.0))
+    >>> print(time_study(space, problem, 3, [1 / 40, 1 / 80], 1.0, fine=fine).select("u_l2"))
+          tau       u_l2      order
+        0.025   9.40e-06
+       0.0125   1.08e-06       3.12
     """
-    rows = []
-    for step in steps:
-        last = final(evolve(space, problem, order, step, end, **options))
-        if reference is None:
-            rows.append(measure(space, problem, last))
-        else:
-            rows.append(errors.difference(space, last, reference))
-    return _table("tau", steps, rows)
+    order, taus = whole_number("order", order, 1), _sizes("steps", steps)
+    starts: list[dict[str, Any]] = [{} for _ in taus]
+    if fine is not None:
+        if reference is not None or "start" in options:
+            raise ValueError("fine gives the reference and the starting values: leave those out")
+        if not fine or abs(fine[-1].t - end) > 1e-9 * max(1.0, abs(end)):
+            found = f"at t = {fine[-1].t:g}" if fine else "with no state"
+            raise ValueError(f"fine must end at t = {end:g}, but ends {found}")
+        reference = fine[-1]
+        starts = [{"start": _every(fine, tau)[:order]} for tau in taus]
+    _check_comparable(problem, reference, measure)
+    runs = [  # made before the first one begins, so that all arguments are checked
+        evolve(space, problem, order, tau, end, **start, **options)
+        for tau, start in zip(taus, starts, strict=True)
+    ]
+    return ConvergenceTable.of(
+        "tau",
+        taus,
+        [
+            measure(space, problem, last)
+            if reference is None
+            else difference(space, last, reference)
+            for last in map(final, runs)
+        ],
+    )
+
+
+def _every(fine: Sequence[State], tau: float) -> Sequence[State]:
+    """States of a run, tau apart."""
+    if len(fine) < 2:
+        raise ValueError("fine must hold at least two states")
+    step = number("the step of fine", fine[1].t - fine[0].t, above=0)
+    k = round(tau / step)
+    if k < 1 or abs(tau - k * step) > 1e-9 * tau:
+        raise ValueError(f"steps must be multiples of the step {step:g} of fine, got {tau:g}")
+    return fine[::k]
 
 
 def space_study(
@@ -162,7 +323,7 @@ def space_study(
     order: int,
     step: float,
     end: float,
-    measure: errors.Measure = errors.compare,
+    measure: Measure = compare,
     **options: Any,
 ) -> ConvergenceTable:
     """Errors at the end for several meshes, against the exact solution.
@@ -170,6 +331,7 @@ def space_study(
     Parameters
     ----------
     spaces : sequence of SurfaceSpace
+        At least one.
     problem : Problem
         With an exact solution.
     order : int
@@ -183,18 +345,41 @@ def space_study(
     -------
     ConvergenceTable
         Sizes are those of the initial meshes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As for :func:`time_study`.
+
+    Examples
+    --------
+    With a prescribed motion the nodes are exact, and an error of zero has no order:
+
+    >>> import esfem_core as ec
+    >>> spaces = [ec.SurfaceSpace(ec.sphere("octahedron", n), 1, ec.to_unit_sphere) for n in (2, 3)]
+    >>> problem = ec.problems.oscillating_ellipsoid("oscillation")
+    >>> print(space_study(spaces, problem, 2, 1 / 20, 1.0).select("x_l2", "u_l2"))
+            h       x_l2      order       u_l2      order
+       0.5774   0.00e+00              2.32e-02
+       0.3015   0.00e+00          –   8.16e-03       1.61
     """
-    rows = [
-        measure(space, problem, final(evolve(space, problem, order, step, end, **options)))
-        for space in spaces
-    ]
-    return _table("h", [space.mesh_size(space.nodes) for space in spaces], rows)
+    sizes = _sizes("mesh sizes", [space.mesh_size(space.nodes) for space in spaces])
+    _check_comparable(problem, None, measure)
+    runs = [evolve(space, problem, order, step, end, **options) for space in spaces]
+    return ConvergenceTable.of(
+        "h",
+        sizes,
+        [measure(space, problem, final(run)) for space, run in zip(spaces, runs, strict=True)],
+    )
 
 
-def _table(
-    parameter: str, sizes: Sequence[float], rows: Sequence[errors.Errors]
-) -> ConvergenceTable:
-    columns = {
-        name: np.array([getattr(row, name) for row in rows]) for name in errors.Errors._fields
-    }
-    return ConvergenceTable(parameter, np.asarray(sizes, dtype=float), columns)
+def _sizes(name: str, values: ArrayLike) -> list[float]:
+    sizes: list[float] = finite_array(name, values, ("n",)).tolist()
+    if not sizes:
+        raise ValueError(f"a study needs at least one of the {name}, got none")
+    return sizes
+
+
+def _check_comparable(problem: Problem, reference: State | None, measure: Measure) -> None:
+    if reference is None and problem.exact is None and measure in (compare, lifted):
+        raise ValueError("the problem has no exact solution to compare with")

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.study import ConvergenceTable, final, observed_orders
+from esfem_core.errors import Errors
+from esfem_core.study import (
+    ConvergenceTable,
+    final,
+    observed_orders,
+    space_study,
+    time_study,
+)
 
 
 def test_observed_orders_of_powers():
@@ -12,7 +19,34 @@ def test_observed_orders_of_powers():
     np.testing.assert_allclose(observed_orders(h, 7 * h**2.5), 2.5, rtol=1e-12)
 
 
-def test_final():
+def test_zero_and_missing_errors_have_no_order_and_no_warning():
+    orders = observed_orders([0.8, 0.4, 0.2, 0.1, 0.05], [4, 1, 0, np.nan, 1])
+    np.testing.assert_array_equal(orders, [2, np.nan, np.nan, np.nan])
+    assert np.isnan(observed_orders([0.2, 0.1], [0, 0])).all()
+    table = ConvergenceTable("h", [0.2, 0.1], {"x": [0.0, 0.0], "v": [np.nan, 1.0]})
+    assert [line.split() for line in str(table).split("\n")[1:]] == [
+        ["0.2", "0.00e+00", "–"],
+        ["0.1", "0.00e+00", "–", "1.00e+00", "–"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "values", "message"),
+    [
+        ([0.2, 0.1], [1.0], r"values must have shape \(2,\), got \(1,\)"),
+        ([0.2, 0.1], [[1.0], [2.0]], r"values must have shape \(2,\), got \(2, 1\)"),
+        ([0.2, 0.2], [1.0, 2.0], "sizes must be positive, neighbours different"),
+        ([0.2, 0.0], [1.0, 2.0], "sizes must be positive"),
+        ([0.2, np.nan], [1.0, 2.0], r"sizes must be finite, but sizes\[1\] is nan"),
+        ([0.2, 0.1], [1.0, -1.0], "values must not be negative"),
+    ],
+)
+def test_sizes_and_values_without_orders_are_refused(sizes, values, message):
+    with pytest.raises(ValueError, match=message):
+        observed_orders(sizes, values)
+
+
+def test_the_final_state_is_the_last_of_a_run():
     assert final(ec.State(t, None, None, None) for t in range(3)).t == 2
     with pytest.raises(ValueError, match="there are no states"):
         final([])
@@ -36,3 +70,103 @@ def test_table_shows_sizes_errors_and_orders():
     assert table.select("u_l2").errors.keys() == {"u_l2"}
     with pytest.raises(KeyError):
         table.select("w")
+
+
+def test_a_table_is_made_of_rows():
+    rows = [Errors(*range(6)), Errors(*range(1, 7))]
+    table = ConvergenceTable.of("tau", [0.2, 0.1], rows)
+    assert list(table.errors) == list(Errors._fields)
+    np.testing.assert_array_equal(table["v_l2"], [2, 3])
+    table = ConvergenceTable.of("tau", [0.2, 0.1], [{"a": 1, "b": 2}, {"a": 3, "b": 4}])
+    np.testing.assert_array_equal(table["b"], [2, 4])
+    with pytest.raises(ValueError, match=r"x_l2 must have shape \(3,\), got \(2,\)"):
+        ConvergenceTable.of("tau", [0.4, 0.2, 0.1], rows)
+    with pytest.raises(ValueError, match=r"all rows must have the names \['a', 'b'\]"):
+        ConvergenceTable.of("tau", [0.2, 0.1], [{"a": 1, "b": 2}, {"b": 4, "a": 3}])
+    with pytest.raises(ValueError, match="at least one row"):
+        ConvergenceTable.of("tau", [], [])
+
+
+def test_one_error_of_several_tables_stands_side_by_side():
+    one = ConvergenceTable("tau", [0.2, 0.1], {"x": [4, 2], "u": [1, 1]})
+    two = ConvergenceTable("tau", [0.2, 0.1], {"x": [4, 1]})
+    joined = ConvergenceTable.join({"p = 1": one, "p = 2": two}, "x")
+    assert list(joined.errors) == ["p = 1", "p = 2"]
+    assert [joined.orders(name)[0] for name in joined.errors] == pytest.approx([1, 2])
+    assert ConvergenceTable.join({"": one}, "u").parameter == "tau"
+    with pytest.raises(KeyError, match="u"):
+        ConvergenceTable.join({"p = 1": one, "p = 2": two}, "u")
+    others = ConvergenceTable("tau", [0.2, 0.05], {"x": [4, 1]})
+    for table in (others, ConvergenceTable("h", [0.2, 0.1], {"x": [4, 1]})):
+        with pytest.raises(ValueError, match="must have the same sizes, 'p = 2' has others"):
+            ConvergenceTable.join({"p = 1": one, "p = 2": table}, "x")
+    with pytest.raises(ValueError, match="no tables to join"):
+        ConvergenceTable.join({}, "x")
+
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+GROWING = ec.problems.growing_sphere()
+FINE = list(ec.evolve(SPACE, GROWING, 4, 1 / 160, 0.5, start="euler", solver="direct"))
+
+
+class TestAStudyAgainstAFineRun:
+    STEPS = (1 / 20, 1 / 40)
+
+    def study(self, fine=FINE, steps=STEPS, end=0.5, **options):
+        return time_study(SPACE, GROWING, 2, steps, end, fine=fine, solver="direct", **options)
+
+    def test_each_run_starts_with_states_of_it_and_is_compared_with_its_last(self):
+        table = self.study()
+        for n, tau in enumerate(self.STEPS):
+            every = round(160 * tau)
+            start = [FINE[0], FINE[every]]
+            run = ec.evolve(SPACE, GROWING, 2, tau, 0.5, start=start, solver="direct")
+            row = ec.errors.difference(SPACE, final(run), FINE[-1])
+            assert [table[name][n] for name in Errors._fields] == list(row)
+        assert table.orders("x_l2") == pytest.approx([2], abs=0.1)
+
+    def test_runs_begin_where_it_begins(self):
+        late = self.study(FINE[16:])
+        assert (late["x_l2"] != self.study()["x_l2"]).all()
+        start = FINE[16::8][:2]
+        run = ec.evolve(SPACE, GROWING, 2, 1 / 20, 0.5, start=start, solver="direct")
+        assert late["x_l2"][0] == ec.errors.difference(SPACE, final(run), FINE[-1]).x_l2
+
+    def test_nothing_is_left_of_the_same_method_with_the_same_step(self):
+        table = time_study(SPACE, GROWING, 4, [1 / 160], 0.5, fine=FINE, solver="direct")
+        assert max(e.max() for e in table.errors.values()) == 0
+
+    def test_what_does_not_fit_is_refused(self):
+        with pytest.raises(ValueError, match=r"multiples of the step 0\.00625 of fine, got 0\.01"):
+            self.study(steps=[0.05, 0.01])
+        with pytest.raises(ValueError, match=r"fine must end at t = 1, but ends at t = 0\.5"):
+            self.study(end=1.0)
+        with pytest.raises(ValueError, match="but ends with no state"):
+            self.study(fine=[])
+        with pytest.raises(ValueError, match="at least two states"):
+            self.study(fine=FINE[-1:])
+        for options in ({"start": "euler"}, {"reference": FINE[-1]}):
+            with pytest.raises(ValueError, match="gives the reference and the starting values"):
+                self.study(**options)
+
+
+def test_studies_of_nothing_are_refused():
+    with pytest.raises(ValueError, match="at least one of the steps"):
+        time_study(SPACE, GROWING, 2, [], 0.5)
+    with pytest.raises(ValueError, match="at least one of the mesh sizes"):
+        space_study([], GROWING, 2, 0.1, 0.5)
+    with pytest.raises(ValueError, match=r"steps must have shape \(n,\), got \(\)"):
+        time_study(SPACE, GROWING, 2, 0.1, 0.5)
+
+
+def test_studies_refuse_before_they_compute():
+    def solver():
+        raise AssertionError("a run has begun")
+
+    bat = ec.problems.baseball_bat()
+    with pytest.raises(ValueError, match="no exact solution to compare with"):
+        time_study(SPACE, bat, 2, [0.1], 0.5, solver=solver)
+    with pytest.raises(ValueError, match="no exact solution to compare with"):
+        space_study([SPACE], bat, 2, 0.1, 0.5, solver=solver)
+    with pytest.raises(ValueError, match="end/step must be an integer"):
+        time_study(SPACE, GROWING, 2, [0.1, 0.3], 0.5, solver=solver)
