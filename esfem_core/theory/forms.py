@@ -12,33 +12,34 @@ tensor for a. So each form here is a matrix that :func:`mass` or :func:`stiffnes
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from esfem_core.checks import Array, finite_array
 from esfem_core.elements import SurfaceSpace, tabulate
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 
 __all__ = [
     "Lift",
-    "b",
     "deformation",
     "divergence",
     "gradient_load",
     "lift",
     "mass",
-    "q",
+    "mass_rate",
     "relative_norm",
     "stiffness",
+    "stiffness_rate",
 ]
 
-Array = NDArray[np.float64]
 TOLERANCE = 1e-9  # relative, of the eigenvalue that is iterated for
+ROUNDING = 1e-10  # relative to the largest entry; a form may be a small difference of norms
 DENSE = 1000  # up to this size all eigenvalues cost less than the iteration for one
 
 
-def mass(space: SurfaceSpace, x: Array, weight: Array | None = None) -> csr_array:
+def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_array:
     """Matrix of int weight w z over Γ_h[x].
 
     Parameters
@@ -57,7 +58,7 @@ def mass(space: SurfaceSpace, x: Array, weight: Array | None = None) -> csr_arra
     Raises
     ------
     ValueError
-        If an argument has the wrong shape.
+        If an argument has the wrong shape or is not finite.
 
     Examples
     --------
@@ -70,12 +71,12 @@ def mass(space: SurfaceSpace, x: Array, weight: Array | None = None) -> csr_arra
     phi = tabulate(space.degree, space.rule.points).values
     density = space.density(x) * space.rule.weights
     if weight is not None:
-        density = density * _checked("weight", weight, density.shape)
+        density = density * finite_array("weight", weight, density.shape)
     products = (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
     return _assemble(space, density @ products)
 
 
-def stiffness(space: SurfaceSpace, x: Array, tensor: Array | None = None) -> csr_array:
+def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) -> csr_array:
     """Matrix of int grad w . tensor grad z over Γ_h[x].
 
     Parameters
@@ -95,14 +96,13 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: Array | None = None) -> csr
     Raises
     ------
     ValueError
-        If an argument has the wrong shape.
+        If an argument has the wrong shape or is not finite.
     """
     gradients = space.basis_gradients(x)
     fluxes = gradients
     if tensor is not None:
-        fluxes = gradients @ np.swapaxes(
-            _checked("tensor", tensor, (*gradients.shape[:2], 3, 3)), 2, 3
-        )
+        tensor = finite_array("tensor", tensor, (*gradients.shape[:2], 3, 3))
+        fluxes = gradients @ np.swapaxes(tensor, 2, 3)
     density = space.density(x) * space.rule.weights
     T, Q, n, _ = gradients.shape
     left = (gradients * density[..., None, None]).transpose(0, 2, 1, 3).reshape(T, n, 3 * Q)
@@ -110,73 +110,104 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: Array | None = None) -> csr
     return _assemble(space, left @ right.transpose(0, 2, 1))
 
 
-def divergence(space: SurfaceSpace, x: Array, v: Array) -> Array:
-    """Surface divergence of the field with nodal values v, (N, 3), on Γ_h[x]: (T, Q)."""
-    trace: Array = np.trace(space.gradient(x, v), axis1=-2, axis2=-1)
-    return trace
+def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
+    """Surface divergence of the field with nodal values v on Γ_h[x], at the quadrature points.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x, v : (N, 3) float arrays
+        Node positions and nodal velocities.
+
+    Returns
+    -------
+    (T, Q) float array
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or is not finite.
+    """
+    return np.asarray(np.trace(_velocity_gradient(space, x, v), axis1=-2, axis2=-1))
 
 
-def deformation(space: SurfaceSpace, x: Array, v: Array) -> Array:
-    """D(v) = tr(E) I - (E + E^T) with E the surface gradient of v: (T, Q, 3, 3).
+def deformation(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
+    """D(v) = tr(E) I - (E + E^T) with E the surface gradient of v.
 
     [N] Lemma 3.1 (i). It says how fast a motion with velocity v changes the Dirichlet integral.
 
     Parameters
     ----------
-    space : SurfaceSpace
-    x, v : (N, 3) float arrays
-        Node positions and nodal velocities.
+    space, x, v
+        As for :func:`divergence`.
 
     Returns
     -------
     (T, Q, 3, 3) float array
+
+    Raises
+    ------
+    ValueError
+        As for :func:`divergence`.
     """
-    E = space.gradient(x, v)
+    E = _velocity_gradient(space, x, v)
     trace = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
-    D: Array = trace * np.eye(3) - E - np.swapaxes(E, -1, -2)
-    return D
+    return np.asarray(trace * np.eye(3) - E - np.swapaxes(E, -1, -2))
 
 
-def q(space: SurfaceSpace, x: Array, v: Array) -> csr_array:
+def _velocity_gradient(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
+    return space.gradient(x, finite_array("v", v, space.nodes.shape))
+
+
+def mass_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
     """Matrix of q(x; v; w, z) = int (div v) w z, the rate of change of the mass matrix.
 
-    [N] 5.2: if the nodes move with velocities v, then d/dt M(x(t)) = q(x; v).
+    [N] 5.2: if the nodes move with velocities v, then d/dt M(x(t)) is this matrix.
 
     Parameters
     ----------
-    space : SurfaceSpace
-    x, v : (N, 3) float arrays
-        Node positions and nodal velocities.
+    space, x, v
+        As for :func:`divergence`.
 
     Returns
     -------
     (N, N) CSR array
 
+    Raises
+    ------
+    ValueError
+        As for :func:`divergence`.
+
     Examples
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
-    >>> growth = q(space, space.nodes, 0.5 * space.nodes)
+    >>> growth = mass_rate(space, space.nodes, 0.5 * space.nodes)
     >>> bool(abs(growth - mass(space, space.nodes)).max() < 1e-15)
     True
     """
     return mass(space, x, divergence(space, x, v))
 
 
-def b(space: SurfaceSpace, x: Array, v: Array) -> csr_array:
+def stiffness_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
     """Matrix of b(x; v; w, z) = int grad w . D(v) grad z, the rate of change of A(x).
 
-    [N] Lemma 3.1 (i): if the nodes move with velocities v, then d/dt A(x(t)) = b(x; v).
+    [N] Lemma 3.1 (i): if the nodes move with velocities v, then d/dt A(x(t)) is this matrix, with
+    D(v) from :func:`deformation`.
 
     Parameters
     ----------
-    space : SurfaceSpace
-    x, v : (N, 3) float arrays
-        Node positions and nodal velocities.
+    space, x, v
+        As for :func:`divergence`.
 
     Returns
     -------
     (N, N) CSR array
+
+    Raises
+    ------
+    ValueError
+        As for :func:`divergence`.
     """
     return stiffness(space, x, deformation(space, x, v))
 
@@ -258,7 +289,7 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     )
 
 
-def gradient_load(space: SurfaceSpace, x: Array, field: Array) -> Array:
+def gradient_load(space: SurfaceSpace, x: Array, field: ArrayLike) -> Array:
     """Load vector b_j = int_{Γ_h[x]} field . grad phi_j, by quadrature.
 
     Parameters
@@ -276,11 +307,11 @@ def gradient_load(space: SurfaceSpace, x: Array, field: Array) -> Array:
     Raises
     ------
     ValueError
-        If an argument has the wrong shape.
+        If an argument has the wrong shape or is not finite.
     """
     density = space.density(x) * space.rule.weights
-    field = _checked("field", field, (*density.shape, 3)) * density[..., None]
-    entries = np.einsum("tqi,tqai->ta", field, space.basis_gradients(x))
+    weighted = finite_array("field", field, (*density.shape, 3)) * density[..., None]
+    entries = np.einsum("tqi,tqai->ta", weighted, space.basis_gradients(x))
     load: Array = np.bincount(space.cells.ravel(), entries.ravel(), len(space.nodes)).astype(float)
     return load
 
@@ -307,7 +338,8 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     Raises
     ------
     ValueError
-        If the shapes differ.
+        If the shapes differ, `form` is not symmetric, or it does not vanish on constants with
+        ``seminorm=True``.
 
     Examples
     --------
@@ -319,6 +351,11 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     """
     if form.shape != norm.shape:
         raise ValueError(f"form and norm must have one shape, got {form.shape} and {norm.shape}")
+    rounding = ROUNDING * max(abs(form).max(), abs(norm).max())
+    if abs(form - form.T).max() > rounding:
+        raise ValueError("form must be symmetric")
+    if seminorm and abs(form.sum(axis=1)).max() > rounding:
+        raise ValueError("with seminorm=True form must vanish on constants")
     if seminorm:  # constants make no difference: functions that vanish at the first node will do
         form, norm = form[1:, 1:], norm[1:, 1:]
     if form.shape[0] <= DENSE:
@@ -347,10 +384,3 @@ def _assemble(space: SurfaceSpace, entries: Array) -> csr_array:
     N = len(space.nodes)
     matrix = coo_array((entries.ravel(), (rows.ravel(), columns.ravel())), shape=(N, N))
     return csr_array(matrix)
-
-
-def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
-    values = np.asarray(values, dtype=float)
-    if values.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {values.shape}")
-    return values

@@ -44,13 +44,13 @@ def test_a_tensor_acts_on_the_second_argument():
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_q_and_b_are_rates_of_change(degree):
+def test_rates_are_difference_quotients_of_the_matrices(degree):
     space = torus_space(degree)
     x, v = space.nodes, 0.1 * RNG.normal(size=space.nodes.shape)
     s = 1e-5
     (M1, A1), (M0, A0) = space.mass_stiffness(x + s * v), space.mass_stiffness(x - s * v)
-    assert close((M1 - M0) / (2 * s), forms.q(space, x, v), 1e-6)
-    assert close((A1 - A0) / (2 * s), forms.b(space, x, v), 1e-6)
+    assert close((M1 - M0) / (2 * s), forms.mass_rate(space, x, v), 1e-6)
+    assert close((A1 - A0) / (2 * s), forms.stiffness_rate(space, x, v), 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,10 @@ def test_relative_norm_of_dense_and_large_matrices_agree(monkeypatch):
     x, v = space.nodes, RNG.normal(size=space.nodes.shape)
     M, A = space.mass_stiffness(x)
     assert len(x) > forms.DENSE
-    for form, norm, seminorm in ((forms.q(space, x, v), M, False), (forms.b(space, x, v), A, True)):
+    for form, norm, seminorm in (
+        (forms.mass_rate(space, x, v), M, False),
+        (forms.stiffness_rate(space, x, v), A, True),
+    ):
         large = forms.relative_norm(form, norm, seminorm)
         cut = int(seminorm)
         dense = np.linalg.eigvals(
@@ -126,7 +129,7 @@ def test_relative_norm_of_dense_and_large_matrices_agree(monkeypatch):
 def test_relative_norm_is_attained_by_no_larger_product():
     space = torus_space(1)
     x, v = space.nodes, RNG.normal(size=space.nodes.shape)
-    M, Q = forms.mass(space, x), forms.q(space, x, v)
+    M, Q = forms.mass(space, x), forms.mass_rate(space, x, v)
     c = forms.relative_norm(Q, M)
     for _ in range(50):
         w, z = RNG.normal(size=(2, len(x)))
@@ -134,15 +137,41 @@ def test_relative_norm_is_attained_by_no_larger_product():
     assert c <= np.abs(forms.divergence(space, x, v)).max() * (1 + 1e-12)
 
 
-def test_refusals():
+def test_coefficients_of_another_shape_are_refused():
     space = torus_space(1)
     x, one = space.nodes, np.ones((3, 3))
     with pytest.raises(ValueError, match=r"weight must have shape \(400, 3\), got \(3, 3\)"):
         forms.mass(space, x, one)
+    with pytest.raises(ValueError, match=r"weight must be finite, but weight\[0, 0\] is nan"):
+        forms.mass(space, x, np.full((400, 3), np.nan))
     with pytest.raises(ValueError, match=r"tensor must have shape \(400, 3, 3, 3\)"):
         forms.stiffness(space, x, one)
     with pytest.raises(ValueError, match=r"field must have shape \(400, 3, 3\), got \(3, 3\)"):
         forms.gradient_load(space, x, one)
-    M = forms.mass(space, x)
+
+
+@pytest.mark.parametrize(
+    "function", [forms.divergence, forms.deformation, forms.mass_rate, forms.stiffness_rate]
+)
+def test_velocities_are_finite_and_have_three_components(function):
+    space = torus_space(1)
+    x, n = space.nodes, len(space.nodes)
+    for v in (x[:, 0], x[:, :2], np.ones((n, 3, 3)), x[1:]):
+        with pytest.raises(ValueError, match=rf"v must have shape \({n}, 3\), got"):
+            function(space, x, v)
+    with pytest.raises(ValueError, match=r"v must be finite, but v\[0, 0\] is inf"):
+        function(space, x, np.full((n, 3), np.inf))
+
+
+def test_forms_without_a_relative_norm_are_refused():
+    space = torus_space(1)
+    x = space.nodes
+    M, A = space.mass_stiffness(x)
     with pytest.raises(ValueError, match="must have one shape"):
         forms.relative_norm(M[1:, 1:], M)
+    one_sided = M.copy()
+    one_sided[0, 1] += 1.0
+    with pytest.raises(ValueError, match="form must be symmetric"):
+        forms.relative_norm(one_sided, M)
+    with pytest.raises(ValueError, match="form must vanish on constants"):
+        forms.relative_norm(M, A, seminorm=True)
