@@ -19,8 +19,9 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import Polynomial, chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from esfem_core.checks import Array, finite_array, number, whole_number
 from esfem_core.stepping import bdf
 
 __all__ = ["circle_polynomial", "g_matrix", "g_matrix_of", "gammas", "gammas_of", "smallest_eta"]
@@ -47,7 +48,7 @@ def smallest_eta(p: int) -> float:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `p` is not one of 1, ..., 5.
 
     Examples
@@ -55,14 +56,13 @@ def smallest_eta(p: int) -> float:
     >>> [round(smallest_eta(p), 10) for p in range(1, 6)]
     [0.0, 0.0, 0.083592135, 0.287806557, 0.8159802251]
     """
-    if p != int(p) or p < 1:
-        raise ValueError(f"the order p must be an integer >= 1, got {p!r}")
+    p = whole_number("the order p", p, 1)
     if p > 5:
         raise ValueError(f"for p >= 6 no linear multiplier 1 - eta z exists, got p = {p}")
-    return _smallest_eta(int(p))
+    return _smallest_eta(p)
 
 
-def g_matrix(p: int, eta: float) -> NDArray[np.float64]:
+def g_matrix(p: int, eta: float) -> Array:
     """Matrix G of [LMV] Lemma 3.1 for BDF and the multiplier 1 - eta z.
 
     Parameters
@@ -80,7 +80,7 @@ def g_matrix(p: int, eta: float) -> NDArray[np.float64]:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `p` is not one of 1, ..., 5, or `eta` is not admissible.
 
     Examples
@@ -92,7 +92,7 @@ def g_matrix(p: int, eta: float) -> NDArray[np.float64]:
     return g_matrix_of(*_pair(p, eta))
 
 
-def gammas(p: int, eta: float) -> NDArray[np.float64]:
+def gammas(p: int, eta: float) -> Array:
     """Coefficients of the square in [LMV] Lemma 3.1 for BDF and the multiplier 1 - eta z.
 
     Parameters
@@ -140,7 +140,7 @@ def circle_polynomial(delta: ArrayLike, mu: ArrayLike) -> Polynomial:
     return Polynomial(chebyshev.cheb2poly(series))
 
 
-def gammas_of(delta: ArrayLike, mu: ArrayLike) -> NDArray[np.float64]:
+def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     """Coefficients of the square for any two polynomials: a spectral factor of F.
 
     Parameters
@@ -193,7 +193,7 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(gamma * np.sqrt(mean / (gamma @ gamma)))
 
 
-def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> NDArray[np.float64]:
+def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     """Matrix G of [LMV] Lemma 3.1 for any two polynomials.
 
     Parameters
@@ -258,10 +258,8 @@ def _eta_at(p: int, x: Fraction) -> Fraction:
     return Fraction(a / sum(c * T[abs(j - 1)] for j, c in enumerate(d)))
 
 
-def _pair(p: int, eta: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    lowest = smallest_eta(p)
-    if not 0 <= eta < 1:
-        raise ValueError(f"eta must be at least 0 and less than 1, got {eta!r}")
+def _pair(p: int, eta: float) -> tuple[Array, Array]:
+    lowest, eta = smallest_eta(p), number("eta", eta, least=0, below=1)
     if eta < lowest:
         raise ValueError(
             f"eta = {eta!r} is not admissible for p = {p}: Re[delta(z)/(1 - eta z)] becomes "
@@ -270,12 +268,10 @@ def _pair(p: int, eta: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return bdf.delta(p), np.array([1.0, -eta])
 
 
-def _coefficients(
-    delta: ArrayLike, mu: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    d, m = np.array(delta, dtype=float), np.array(mu, dtype=float)
+def _coefficients(delta: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
+    d, m = finite_array("delta", delta, ("n",)), finite_array("mu", mu, ("n",))
     for name, c in (("delta", d), ("mu", m)):
-        if c.ndim != 1 or len(c) == 0 or not np.all(np.isfinite(c)):
-            raise ValueError(f"{name} must be a sequence of finite coefficients, got {c}")
+        if len(c) == 0:
+            raise ValueError(f"{name} must hold at least one coefficient")
     n = max(len(d), len(m))
     return np.pad(d, (0, n - len(d))), np.pad(m, (0, n - len(m)))

@@ -17,6 +17,7 @@ from math import comb, factorial
 import numpy as np
 from scipy.interpolate import PPoly
 
+from esfem_core.checks import whole_number
 from esfem_core.stepping.bdf import delta_exact, gamma
 
 __all__ = ["bdf_kernel", "extrapolation_kernel"]
@@ -45,7 +46,7 @@ def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `p` is not a positive integer, or `degree` not one of 1, ..., p.
 
     Examples
@@ -54,8 +55,8 @@ def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
     >>> print(f"{kappa(0.5):.4f} {float(kappa.integrate(0, 2)):.4f}")
     -0.3125 -0.3333
     """
+    p, q = _orders(p, degree)
     d = delta_exact(p)
-    q = _degree(degree, 1, p)
     # E[(s + theta)_+^q] = sum_j delta_j (theta - j)_+^q - q theta^(q-1)
     terms = [(c, j, q) for j, c in enumerate(d)]
     return _truncated_powers([*terms, (Fraction(-q), 0, q - 1)], p, q)
@@ -81,7 +82,7 @@ def extrapolation_kernel(p: int, degree: int | None = None) -> PPoly:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         As for :func:`bdf_kernel`.
 
     Examples
@@ -90,17 +91,16 @@ def extrapolation_kernel(p: int, degree: int | None = None) -> PPoly:
     >>> print(f"{kappa(0.5):.4f} {float(kappa.integrate(0, 2)):.4f}")
     -0.5000 -1.0000
     """
+    p, q = _orders(p, degree)
     g = [Fraction(int(c)) for c in gamma(p)]
-    q = _degree(degree, 1, p)
     terms = [(c, j + 1, q - 1) for j, c in enumerate(g)]
     return _truncated_powers([*terms, (Fraction(-1), 0, q - 1)], p, q - 1)
 
 
-def _degree(degree: int | None, low: int, p: int) -> int:
-    q = p if degree is None else degree
-    if q != int(q) or not low <= q <= p:
-        raise ValueError(f"degree must be one of {low}, ..., {p}, got {degree!r}")
-    return int(q)
+def _orders(p: int, degree: int | None) -> tuple[int, int]:
+    """Check p and q, which is p if not given."""
+    p = whole_number("the order p", p, 1)
+    return p, p if degree is None else whole_number("degree", degree, 1, p)
 
 
 def _truncated_powers(terms: Sequence[tuple[Fraction, int, int]], p: int, degree: int) -> PPoly:

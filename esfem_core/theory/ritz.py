@@ -6,15 +6,14 @@ in the reference triangle agree there up to the lift of [LMV] (5.4), and an erro
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
 
+from esfem_core.checks import Array, finite_array
 from esfem_core.elements import SurfaceSpace, node_indices, tabulate
 from esfem_core.solvers import superlu
 
 __all__ = ["prolongation", "ritz_projection"]
-
-Array = NDArray[np.float64]
 
 
 def prolongation(space: SurfaceSpace, fine: SurfaceSpace) -> csr_array:
@@ -58,7 +57,9 @@ def prolongation(space: SurfaceSpace, fine: SurfaceSpace) -> csr_array:
     return matrix
 
 
-def ritz_projection(space: SurfaceSpace, x: Array, fine: SurfaceSpace, y: Array, z: Array) -> Array:
+def ritz_projection(
+    space: SurfaceSpace, x: ArrayLike, fine: SurfaceSpace, y: ArrayLike, z: ArrayLike
+) -> Array:
     r"""Finite element function on Γ_h[x] with the stiffness and the integral of a function on Γ.
 
     P_h z in S_h[x] with, for all phi_h in S_h[x] and their lifts,
@@ -85,7 +86,7 @@ def ritz_projection(space: SurfaceSpace, x: Array, fine: SurfaceSpace, y: Array,
     Raises
     ------
     ValueError
-        If the two spaces do not belong together, or an array has the wrong shape.
+        If the two spaces do not belong together, or an array has the wrong shape or is not finite.
 
     Examples
     --------
@@ -97,10 +98,11 @@ def ritz_projection(space: SurfaceSpace, x: Array, fine: SurfaceSpace, y: Array,
     0.005
     """
     up = prolongation(space, fine)
+    x = finite_array("x", x, space.nodes.shape)
+    y = finite_array("y", y, fine.nodes.shape)
+    z = finite_array("z", z, (len(fine.nodes),))
     M, A = space.mass_stiffness(x)
     M_exact, A_exact = fine.mass_stiffness(y)
-    if np.shape(z) != (len(fine.nodes),):
-        raise ValueError(f"z must have shape ({len(fine.nodes)},), got {np.shape(z)}")
     # A is zero on the constants, and so is the load. One more entry on the diagonal makes the
     # matrix definite and leaves the solution that vanishes at this node.
     definite = A.copy()
@@ -108,5 +110,4 @@ def ritz_projection(space: SurfaceSpace, x: Array, fine: SurfaceSpace, y: Array,
     w = superlu(definite, space.elimination_order).solve(up.T @ (A_exact @ z))
     ones = np.ones(len(w))
     shift = ((M_exact @ z).sum() - (M @ w).sum()) / (ones @ (M @ ones))
-    projected: Array = w + shift
-    return projected
+    return np.asarray(w + shift)

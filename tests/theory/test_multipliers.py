@@ -111,7 +111,7 @@ class TestSmallestEta:
             (9, "p = 9"),
         ],
     )
-    def test_refuses(self, p, message):
+    def test_orders_without_a_multiplier_are_refused(self, p, message):
         for function in (multipliers.smallest_eta, lambda p: multipliers.g_matrix(p, 7.0)):
             with pytest.raises(ValueError, match=message):
                 function(p)
@@ -210,11 +210,13 @@ class TestG:
         smallest = multipliers.smallest_eta(p)
         multipliers.g_matrix(p, smallest)
         for function in (multipliers.g_matrix, multipliers.gammas):
-            message = "at least 0 and less than 1" if smallest == 0 else "is not admissible for p"
+            message = (
+                "eta must be a finite number >= 0" if smallest == 0 else "is not admissible for p"
+            )
             with pytest.raises(ValueError, match=message):
                 function(p, smallest - 1e-12)
             for eta in (1.0, 1.5, -0.1, math.nan):
-                with pytest.raises(ValueError, match="at least 0 and less than 1"):
+                with pytest.raises(ValueError, match="eta must be a finite number >= 0 and < 1"):
                     function(p, eta)
 
     def test_printed_value_for_four_steps_is_refused(self):
@@ -257,11 +259,11 @@ class TestOtherPolynomials:
             (ec.bdf.delta(3), [1], "changes at"),
             ([1, -1], [1, -1], "common divisor"),
             ([1, -3, 2], [1, -2], "common divisor"),
-            ([], [1], "delta must be a sequence"),
-            ([1, -1], [[1]], "mu must be a sequence"),
-            ([1, math.nan], [1], "delta must be a sequence"),
+            ([], [1], "delta must hold at least one coefficient"),
+            ([1, -1], [[1]], r"mu must have shape \(n,\), got \(1, 1\)"),
+            ([1, math.nan], [1], r"delta must be finite, but delta\[1\] is nan"),
         ],
     )
-    def test_refuses(self, delta, mu, message):
+    def test_polynomials_without_a_matrix_are_refused(self, delta, mu, message):
         with pytest.raises(ValueError, match=message):
             multipliers.g_matrix_of(delta, mu)

@@ -55,11 +55,22 @@ def test_errors_of_a_harmonic_on_the_sphere_are_of_second_and_first_order():
     assert rates[-1] == pytest.approx([2, 1], abs=0.2)
 
 
-def test_refusals():
+def test_spaces_that_do_not_belong_together_are_refused():
     linear, quadratic = ec.SurfaceSpace(TRI), ec.SurfaceSpace(TRI, 2)
     with pytest.raises(ValueError, match="degree 1 of fine is below 2"):
         prolongation(quadratic, linear)
     with pytest.raises(ValueError, match="one triangulation"):
         prolongation(linear, ec.SurfaceSpace(ec.sphere("octahedron", 1), 2))
+
+
+def test_arrays_of_another_shape_are_refused_by_their_names():
+    linear, quadratic = ec.SurfaceSpace(TRI), ec.SurfaceSpace(TRI, 2)
+    x, y, z = linear.nodes, quadratic.nodes, quadratic.nodes[:, 0]
+    with pytest.raises(ValueError, match=r"x must have shape \(66, 3\), got \(258, 3\)"):
+        ritz_projection(linear, y, quadratic, y, z)
+    with pytest.raises(ValueError, match=r"y must have shape \(258, 3\), got \(66, 3\)"):
+        ritz_projection(linear, x, quadratic, x, z)
     with pytest.raises(ValueError, match=r"z must have shape \(258,\), got \(66,\)"):
-        ritz_projection(linear, linear.nodes, quadratic, quadratic.nodes, np.zeros(66))
+        ritz_projection(linear, x, quadratic, y, np.zeros(66))
+    with pytest.raises(ValueError, match=r"z must be finite, but z\[0\] is nan"):
+        ritz_projection(linear, x, quadratic, y, np.nan * z)
