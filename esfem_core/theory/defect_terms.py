@@ -1,39 +1,34 @@
 """The defects term by term, as the proof of [N] Lemma 6.1 splits them."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array, finite_array, number, whole_number
 from esfem_core.elements import SurfaceSpace
-from esfem_core.problems import Problem
-from esfem_core.stepping.bdf import delta, gamma
+from esfem_core.problems import Exact, Problem
+from esfem_core.stepping import bdf, exact_state
+from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 from esfem_core.theory.defects import (
-    combined,
-    difference,
+    NodalValues,
     diffusion,
-    interpolant,
-    mass_times,
+    exact_values,
     rate_of_mass,
     rate_of_u,
     source_load,
     stretching,
-    values_of,
 )
 from esfem_core.theory.forms import divergence, gradient_load, lift, stiffness
 
 __all__ = ["Field", "spatial_terms_u", "temporal_terms_u", "temporal_terms_v"]
 
-Array = NDArray[np.float64]
-Values = tuple[Array, Array, Array]
-
 
 def temporal_terms_v(
     space: SurfaceSpace, problem: Problem, order: int, step: float, t: float
 ) -> dict[str, Array]:
-    """The part of M d_v that time makes, term by term as in [N] (6.1).
+    """The temporal part of M d_v, term by term as in [N] (6.1).
 
     Parameters
     ----------
@@ -48,23 +43,30 @@ def temporal_terms_v(
         "M", "alpha A" and "beta A": the matrices at x~_* minus those at x_*. "g, surface": the
         same for g. "g, extrapolated u": g(x~_*, u_*) - g(x~_*, u~_*), which the scheme has and
         (6.1) has not.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is out of range, there is no exact solution, or the motion is prescribed.
     """
-    (x_now, u_now, v_now), (x, u, _) = _extrapolation(space, problem, order, step, t)
-    (Mt, At), (M, A) = space.mass_stiffness(x), space.mass_stiffness(x_now)
-    on_extrapolated = source_load(space, problem, "g", x, u_now, t)
+    order, step = _checked(problem, order, step)
+    now = exact_values(space, problem, t)
+    far = _extrapolated(space, problem, order, step, t)
+    (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
+    on_extrapolated = source_load(space, problem, "g", far.x, now.u, t)
     return {
-        "M": Mt @ v_now - M @ v_now,
-        "alpha A": problem.alpha * (At @ v_now - A @ v_now),
-        "beta A": problem.beta * (At @ x_now - A @ x_now),
-        "g, surface": source_load(space, problem, "g", x_now, u_now, t) - on_extrapolated,
-        "g, extrapolated u": on_extrapolated - source_load(space, problem, "g", x, u, t),
+        "M": Mt @ now.v - M @ now.v,
+        "alpha A": problem.alpha * (At @ now.v - A @ now.v),
+        "beta A": problem.beta * (At @ now.x - A @ now.x),
+        "g, surface": source_load(space, problem, "g", now.x, now.u, t) - on_extrapolated,
+        "g, extrapolated u": on_extrapolated - source_load(space, problem, "g", far.x, far.u, t),
     }
 
 
 def temporal_terms_u(
     space: SurfaceSpace, problem: Problem, order: int, step: float, n: int
 ) -> dict[str, Array]:
-    """The part of M d_u that time makes, term by term as in [N] 6.2.
+    """The temporal part of M d_u, term by term as in [N] 6.2.
 
     Parameters
     ----------
@@ -83,38 +85,48 @@ def temporal_terms_u(
 
     Raises
     ------
-    ValueError
-        If n < 2 p.
+    TypeError, ValueError
+        If n < 2 p, or as for :func:`temporal_terms_v`.
     """
+    order, step = _checked(problem, order, step)
+    n = whole_number("n", n, 0)
     if n < 2 * order:
-        raise ValueError(f"all levels are extrapolated from n = 2 p = {2 * order} on, got n = {n}")
+        raise ValueError(f"n must be at least 2 p = {2 * order}, got {n}")
     t = n * step
-    (x_now, u_now, v_now), (x, u, v) = _extrapolation(space, problem, order, step, t)
+    now = exact_values(space, problem, t)
+    far = _extrapolated(space, problem, order, step, t)
     rate, masses = rate_of_u(space, problem, t), []
     for j in range(order + 1):
-        level, extrapolated = _extrapolation(space, problem, order, step, t - j * step)
-        masses.append(mass_times(space, extrapolated[0], level[1]))
-    quotient = combined(delta(order), masses) / step
-    f_surface = source_load(space, problem, "f", x, u_now, t)
-    (Mt, At), (M, A) = space.mass_stiffness(x), space.mass_stiffness(x_now)
+        then = t - j * step
+        surface = _extrapolated(space, problem, order, step, then).x
+        masses.append(space.mass_times(surface, exact_state(space, problem, then).u))
+    quotient = bdf.combine(bdf.delta(order), masses) / step
+    f_surface = source_load(space, problem, "f", far.x, now.u, t)
+    (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
+    on_extrapolated = stretching(space, far.x, now.v, now.u)
     return {
-        "BDF": quotient - rate_of_mass(space, x, v, u_now, rate),
+        "BDF": quotient - rate_of_mass(space, far.x, far.v, now.u, rate),
         "(6.9)": Mt @ rate - M @ rate,
-        "(6.16)": stretching(space, x, v - v_now, u_now),
-        "(6.17)": stretching(space, x, v_now, u_now) - stretching(space, x_now, v_now, u_now),
-        "A": diffusion(problem, At, u_now) - diffusion(problem, A, u_now),
-        "(6.22)": source_load(space, problem, "f", x_now, u_now, t) - f_surface,
-        "f, extrapolated u": f_surface - source_load(space, problem, "f", x, u, t),
+        "(6.16)": stretching(space, far.x, far.v - now.v, now.u),
+        "(6.17)": on_extrapolated - stretching(space, now.x, now.v, now.u),
+        "A": diffusion(problem, At, now.u) - diffusion(problem, A, now.u),
+        "(6.22)": source_load(space, problem, "f", now.x, now.u, t) - f_surface,
+        "f, extrapolated u": f_surface - source_load(space, problem, "f", far.x, far.u, t),
     }
 
 
-def _extrapolation(
+def _checked(problem: Problem, order: int, step: float) -> tuple[int, float]:
+    if problem.motion is not None:
+        raise ValueError("these terms are those of a velocity law, but the motion is prescribed")
+    return whole_number("order", order, 1), number("step", step, above=0)
+
+
+def _extrapolated(
     space: SurfaceSpace, problem: Problem, order: int, step: float, t: float
-) -> tuple[Values, Values]:
-    """x_*, u_*, v_* at t; and x~_*, u~_* and the velocity of x~_* there."""
-    past = [values_of(interpolant(space, problem, t - (j + 1) * step)) for j in range(order)]
-    x, u, v = (combined(gamma(order), values) for values in zip(*past, strict=True))
-    return values_of(interpolant(space, problem, t)), (x, u, v)
+) -> NodalValues:
+    """x~_* at t, its velocity and u~_*."""
+    past = [exact_values(space, problem, t - (j + 1) * step) for j in range(order)]
+    return NodalValues(*(bdf.extrapolate(values) for values in zip(*past, strict=True)))
 
 
 class Field(NamedTuple):
@@ -138,7 +150,7 @@ class Field(NamedTuple):
 def spatial_terms_u(
     space: SurfaceSpace, problem: Problem, field: Field, t: float
 ) -> dict[str, Array]:
-    """The part of M d_u that space makes, term by term as in [N] 6.2, at x_* = x_*(t).
+    """The spatial part of M d_u, term by term as in [N] 6.2, at x_* = x_*(t).
 
     The exact weak form, tested with lifts, is subtracted; so all terms but the last add up to
     :func:`esfem_core.theory.defects.spatial_defects` if u solves the equation on the surface.
@@ -146,7 +158,7 @@ def spatial_terms_u(
     Parameters
     ----------
     space, problem : SurfaceSpace, Problem
-        With an exact solution u that is given also near the surface.
+        With an exact solution u of one component, given also near the surface.
     field : Field
     t : float
 
@@ -158,33 +170,40 @@ def spatial_terms_u(
         then "(6.18)", "(6.19)" and "(6.20)", the two spatial differences of (ii), and "(6.23)".
         Last, and not to be added to the others, "(6.4), test function": -m(X; u, phi'^l), which
         the proof has, but the exact weak form for test functions with phi'^l != 0 has not.
+
+    Raises
+    ------
+    ValueError
+        If there is no exact solution, u has several components, or `field` returns something of
+        the wrong shape or not finite.
     """
-    x, u, v = values_of(interpolant(space, problem, t))
+    x, v, u = exact_values(space, problem, t)
+    finite_array("the exact u", u, (len(x),))
     onto = lift(space, x, field.surface(t))
     y, ratio, u_h = onto.points, onto.ratio, space.evaluate(u)
     tangential = np.eye(3) - onto.normal[..., :, None] * onto.normal[..., None, :]
-    assert problem.exact is not None
-    exact_u = problem.exact.u
+    exact_u = cast(Exact, problem.exact).u
 
     def slope(function: Callable[[Array], Array]) -> Array:
         """Ambient derivatives at y, last index."""
         return np.stack([along(function, e) for e in np.eye(3)], -1)
 
     def along(function: Callable[[Array], Array], e: Array) -> Array:
-        return difference(lambda s: function(y + s * e))
+        return derivative(lambda s: function(y + s * e))
 
     grad_u = (tangential @ slope(lambda z: exact_u(z, t))[..., None])[..., 0]
-    v_exact = field.v(y, t)
+    v_exact = finite_array("field.v(x, t)", field.v(y, t), y.shape)
     div_v = np.einsum("...ij,...ji->...", slope(lambda z: field.v(z, t)), tangential)
-    rate = difference(lambda s: exact_u(y + s * v_exact, t + s))
+    rate = derivative(lambda s: exact_u(y + s * v_exact, t + s))
 
     def moved(s: float) -> tuple[Array, Array]:
-        then = lift(space, interpolant(space, problem, t + s).x, field.surface(t + s))
-        weight = then.ratio * space.density(interpolant(space, problem, t + s).x)
-        return then.points, weight
+        """Lifts of the quadrature points at t + s, and the area that they carry."""
+        x = exact_state(space, problem, t + s).x
+        then = lift(space, x, field.surface(t + s))
+        return then.points, then.ratio * space.density(x)
 
-    v_lift = difference(lambda s: moved(s)[0])
-    q_lift = difference(lambda s: moved(s)[1]) / space.density(x)  # (div v^) times ratio
+    v_lift = derivative(lambda s: moved(s)[0])
+    q_lift = derivative(lambda s: moved(s)[1]) / space.density(x)  # (div v^) times ratio
     slip = v_lift - v_exact
     rate_lift = rate + np.sum(grad_u * slip, -1)
     rate_h = space.evaluate(rate_of_u(space, problem, t))
@@ -198,7 +217,7 @@ def spatial_terms_u(
         return gradient_load(space, x, ratio[..., None] * (pulled @ gradient[..., None])[..., 0])
 
     A, A_lift = space.mass_stiffness(x)[1], stiffness(space, x, onto.tensor)
-    exact = exact_u(y, t)
+    exact, f = exact_u(y, t), finite_array("field.f(x, t)", field.f(y, t), ratio.shape)
     return {
         "u', interpolated": m(rate_h - rate_lift),
         "u', lifted": m((1 - ratio) * rate_lift),
@@ -208,6 +227,6 @@ def spatial_terms_u(
         "(6.20)": m(ratio * div_v * (u_h - exact)),
         "A, lifted": diffusion(problem, A, u) - diffusion(problem, A_lift, u),
         "A, interpolated": diffusion(problem, A_lift, u) - problem.diffusivity * a(grad_u),
-        "(6.23)": m(ratio * field.f(y, t)) - source_load(space, problem, "f", x, u, t),
+        "(6.23)": m(ratio * f) - source_load(space, problem, "f", x, u, t),
         "(6.4), test function": a(exact[..., None] * slip),
     }

@@ -7,37 +7,53 @@ Exact values x_*, v_*, u_* at the nodes, put into (2.19)-(2.21), leave d_u, d_v 
     K(x~_*^n) v_*^n + beta A(x~_*^n) x_*^n = g(x~_*^n, u~_*^n) + M(x_*^n) d_v^n
     (1/tau) sum_j delta_j x_*^{n-j}     = v_*^n + d_x^n
 
-Only the functionals M d_u and M d_v are ever needed, and it is they that functions here return.
+Only the functionals M d_u and M d_v are ever needed, and the functions here return these.
 At levels j < p, where nothing can be extrapolated, M(x_*^j) is taken, as the scheme does.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
+from esfem_core.checks import Array, finite_array, number, one_of, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
-from esfem_core.stepping import State
-from esfem_core.stepping.bdf import delta, gamma
+from esfem_core.stepping import bdf, exact_state
+from esfem_core.surfaces import derivative
 from esfem_core.theory.forms import divergence
 
 __all__ = [
     "Defects",
+    "NodalValues",
     "defects",
+    "diffusion",
     "dual_norm",
-    "interpolant",
+    "exact_values",
+    "rate_of_mass",
+    "rate_of_u",
+    "source_load",
     "spatial_defects",
+    "stretching",
 ]
 
-Array = NDArray[np.float64]
 
-# Central differences of order 8, whose errors of truncation and rounding are both about 1e-13.
-_WIDTH = 0.01
-_STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+class NodalValues(NamedTuple):
+    """Nodal values at one time.
+
+    Attributes
+    ----------
+    x, v : (N, 3) float array
+        Positions and velocities.
+    u : (N,) or (N, m) float array
+        Solution.
+    """
+
+    x: Array
+    v: Array
+    u: Array
 
 
 class Defects(NamedTuple):
@@ -58,7 +74,7 @@ class Defects(NamedTuple):
     x: Array
 
 
-def dual_norm(K: csr_array | Factor, functional: Array) -> float:
+def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     r"""Norm of a functional that is dual to the norm of K: (r^T K^{-1} r)^{1/2}.
 
     With K = A + M and r = d this is [LMV]'s norm of a defect d, which contains the mass matrix.
@@ -79,7 +95,7 @@ def dual_norm(K: csr_array | Factor, functional: Array) -> float:
     Raises
     ------
     ValueError
-        If the sizes do not match.
+        If the sizes do not match, or the functional is not finite.
 
     Examples
     --------
@@ -93,15 +109,16 @@ def dual_norm(K: csr_array | Factor, functional: Array) -> float:
     True
     """
     if isinstance(K, csr_array):
-        if K.shape[0] != len(functional):
-            raise ValueError(f"functional must have {K.shape[0]} rows, got {functional.shape}")
+        r = finite_array("functional", functional, (K.shape[0], "..."))
         K = superlu(K)
-    columns = functional.reshape(len(functional), -1)
+    else:
+        r = finite_array("functional", functional, ("N", "..."))
+    columns = r.reshape(len(r), -1)
     return float(np.sqrt(max(np.sum(columns * K.solve(columns)), 0.0)))
 
 
-def interpolant(space: SurfaceSpace, problem: Problem, t: float) -> State:
-    """Exact values x_*(t), v_*(t), u_*(t) at the nodes.
+def exact_values(space: SurfaceSpace, problem: Problem, t: float) -> NodalValues:
+    """The exact state at t (:func:`esfem_core.stepping.exact_state`), velocities included.
 
     Parameters
     ----------
@@ -111,18 +128,15 @@ def interpolant(space: SurfaceSpace, problem: Problem, t: float) -> State:
 
     Returns
     -------
-    State
+    NodalValues
 
     Raises
     ------
     ValueError
         If the problem has no exact solution.
     """
-    if problem.exact is None:
-        raise ValueError("defects need a problem with an exact solution")
-    x = np.array(problem.exact.x(space.nodes, t), dtype=float)
-    v, u = problem.exact.v(space.nodes, t), problem.exact.u(x, t)
-    return State(t, x, np.array(v, dtype=float), np.array(u, dtype=float))
+    state = exact_state(space, problem, t)
+    return NodalValues(state.x, cast(Array, state.v), state.u)
 
 
 def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: int) -> Defects:
@@ -145,8 +159,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
 
     Raises
     ------
-    ValueError
-        If there is no exact solution, or n < p.
+    TypeError, ValueError
+        If there is no exact solution, a number is out of range, or n < p.
 
     Examples
     --------
@@ -161,27 +175,29 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     >>> max(ec.errors.compare(space, problem, last)) < 1e-11
     True
     """
+    order, step = whole_number("order", order, 1), number("step", step, above=0)
+    n = whole_number("n", n, 0)
     if n < order:
-        raise ValueError(f"the first step that is one is n = p = {order}, got n = {n}")
-    exact = [interpolant(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
-    now, d = exact[0], delta(order)
-    x_now, u_now, v_now = values_of(now)
+        raise ValueError(f"n must be at least p = {order}, got {n}")
+    # Newest first. Extrapolating the positions at level n - p reaches back to n - 2 p.
+    exact = [exact_values(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
+    now, d, t = exact[0], bdf.delta(order), n * step
 
     def at(j: int) -> Array:  # where the mass matrix of level n - j is taken
         if problem.motion is not None or n - j < order:
             return exact[j].x
-        return combined(gamma(order), [s.x for s in exact[j + 1 : j + order + 1]])
+        return bdf.extrapolate([s.x for s in exact[j + 1 : j + order + 1]])
 
-    x = at(0)
-    u = combined(gamma(order), [s.u for s in exact[1 : order + 1]])
+    x, u = at(0), bdf.extrapolate([s.u for s in exact[1 : order + 1]])
     A = space.mass_stiffness(x)[1]
-    du = combined(d, [mass_times(space, at(j), exact[j].u) for j in range(order + 1)]) / step
-    du += diffusion(problem, A, u_now) - source_load(space, problem, "f", x, u, now.t)
+    masses = [space.mass_times(at(j), exact[j].u) for j in range(order + 1)]
+    du = bdf.combine(d, masses) / step
+    du += diffusion(problem, A, now.u) - source_load(space, problem, "f", x, u, t)
     if problem.motion is not None:
         return Defects(du, np.zeros_like(x), np.zeros_like(x))
-    dv = velocity_law(space, problem, x, x_now, v_now)
-    dv -= source_load(space, problem, "g", x, u, now.t)
-    return Defects(du, dv, combined(d, [s.x for s in exact[: order + 1]]) / step - v_now)
+    dv = _velocity_law(space, problem, x, now) - source_load(space, problem, "g", x, u, t)
+    dx = bdf.combine(d, [s.x for s in exact[: order + 1]]) / step - now.v
+    return Defects(du, dv, dx)
 
 
 def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
@@ -200,77 +216,170 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     Returns
     -------
     Defects
-        ``x`` is zero: the defect of x is made in time alone.
+        ``x`` is zero: the defect of x is a temporal one.
+
+    Raises
+    ------
+    ValueError
+        If there is no exact solution.
     """
-    x, u, v = values_of(interpolant(space, problem, t))
+    now = exact_values(space, problem, t)
+    x, v, u = now
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
     du += diffusion(problem, A, u) - source_load(space, problem, "f", x, u, t)
     zero = np.zeros_like(x)
     if problem.motion is not None:
         return Defects(du, zero, zero)
-    law = velocity_law(space, problem, x, x, v)
+    law = _velocity_law(space, problem, x, now)
     return Defects(du, law - source_load(space, problem, "g", x, u, t), zero)
 
 
-def values_of(state: State) -> tuple[Array, Array, Array]:
-    """Positions, solution and velocity."""
-    assert state.v is not None
-    return state.x, state.u, state.v
-
-
-def combined(coefficients: Array, values: Sequence[Array]) -> Array:
-    """Sum of coefficients[j] values[j], newest first."""
-    total: Array = np.tensordot(coefficients, np.array(values), axes=1)
-    return total
-
-
-def difference(function: Callable[[float], Array]) -> Array:
-    """Derivative at 0 of a smooth function of order-one length scale."""
-    parts = [c * (function(i * _WIDTH) - function(-i * _WIDTH)) for i, c in _STENCIL.items()]
-    derivative: Array = np.sum(parts, axis=0) / _WIDTH
-    return derivative
-
-
 def rate_of_u(space: SurfaceSpace, problem: Problem, t: float) -> Array:
-    """Material derivative of u at the nodes."""
-    return difference(lambda s: interpolant(space, problem, t + s).u)
+    """Material derivative of the exact u at the nodes, to about 12 digits.
+
+    Parameters
+    ----------
+    space, problem : SurfaceSpace, Problem
+        With an exact solution, defined also a little before and after t.
+    t : float
+
+    Returns
+    -------
+    (N,) or (N, m) float array
+    """
+    return derivative(lambda s: exact_state(space, problem, s).u, t)
 
 
-def mass_times(space: SurfaceSpace, x: Array, u: Array) -> Array:
-    """M(x) u."""
-    return space.load(x, space.evaluate(u))
+def stretching(space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike) -> Array:
+    """q(x; v; u, phi_j) = int (div v) u phi_j, without the matrix.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x, v : (N, 3) float arrays
+        Node positions and nodal velocities.
+    u : (N,) or (N, m) float array
+
+    Returns
+    -------
+    float array of the shape of u
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or is not finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> x, u = space.nodes, space.nodes[:, 0]
+    >>> b = stretching(space, x, 0.5 * x, u)  # div v = 1
+    >>> bool(np.allclose(b, space.mass_times(x, u), rtol=0, atol=1e-15))
+    True
+    """
+    values = space.evaluate(finite_array("u", u, (len(space.nodes), "...")))
+    rate = divergence(space, x, v)
+    return space.load(x, rate.reshape(*rate.shape, *[1] * (values.ndim - 2)) * values)
 
 
-def stretching(space: SurfaceSpace, x: Array, v: Array, u: Array) -> Array:
-    """q(x; v; u, .): integrals of (div v) u phi_j."""
-    return space.load(x, (divergence(space, x, v).T * space.evaluate(u).T).T)
+def rate_of_mass(
+    space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike, rate: ArrayLike
+) -> Array:
+    """d/dt (M(x) u) = M(x) u' + q(x; v; u, .) for nodes that move with v.
 
+    Parameters
+    ----------
+    space, x, v, u
+        As for :func:`stretching`.
+    rate : float array of the shape of u
+        u', the material derivative.
 
-def rate_of_mass(space: SurfaceSpace, x: Array, v: Array, u: Array, rate: Array) -> Array:
-    """d/dt (M(x) u) for x' = v and u' = rate."""
-    return mass_times(space, x, rate) + stretching(space, x, v, u)
+    Returns
+    -------
+    float array of the shape of u
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or is not finite.
+    """
+    rate = finite_array("rate", rate, np.shape(u))
+    return space.mass_times(x, rate) + stretching(space, x, v, u)
 
 
 def diffusion(problem: Problem, A: csr_array, u: Array) -> Array:
+    """D A u, with the diffusivity D of each component.
+
+    Parameters
+    ----------
+    problem : Problem
+    A : (N, N) CSR array
+        Stiffness matrix.
+    u : (N,) or (N, m) float array
+
+    Returns
+    -------
+    float array of the shape of u
+    """
     return np.asarray((A @ u) * problem.diffusivity)
 
 
-def velocity_law(
-    space: SurfaceSpace, problem: Problem, surface: Array, x: Array, v: Array
-) -> Array:
-    """K v + beta A x, with matrices on Γ_h[surface]."""
-    M, A = space.mass_stiffness(surface)
+def _velocity_law(space: SurfaceSpace, problem: Problem, at: Array, values: NodalValues) -> Array:
+    """K v + beta A x, with matrices on Γ_h[at]."""
+    M, A = space.mass_stiffness(at)
+    x, v, _ = values
     return np.asarray(M @ v + A @ (problem.alpha * v + problem.beta * x))
 
 
 def source_load(
-    space: SurfaceSpace, problem: Problem, name: str, x: Array, u: Array, t: float
+    space: SurfaceSpace,
+    problem: Problem,
+    name: Literal["f", "g"],
+    x: ArrayLike,
+    u: ArrayLike,
+    t: float,
 ) -> Array:
-    """Load vector f(x, u) or g(x, u)."""
-    function: Callable[..., Array] | None = getattr(problem, name)
+    """Load vector f(x, u) or g(x, u) of the right-hand sides of (2.19) and (2.20).
+
+    Parameters
+    ----------
+    space, problem : SurfaceSpace, Problem
+    name : {"f", "g"}
+    x : (N, 3) float array
+        Node positions.
+    u : (N,) or (N, m) float array
+    t : float
+
+    Returns
+    -------
+    float array
+        Of the shape of u for f, (N, 3) for g. Zero if the problem has no such function.
+
+    Raises
+    ------
+    ValueError
+        If an argument, or what f or g returns, has the wrong shape or is not finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> problem = ec.Problem(u0=lambda x: x[:, 0], f=lambda u, grad_u, x, t: t * u)
+    >>> b = source_load(space, problem, "f", space.nodes, space.nodes[:, 0], 2.0)
+    >>> expected = 2 * space.mass_times(space.nodes, space.nodes[:, 0])
+    >>> bool(np.allclose(b, expected, rtol=0, atol=1e-15))
+    True
+    """
+    one_of("name", name, ("f", "g"))
+    x = finite_array("x", x, space.nodes.shape)
+    u = finite_array("u", u, (len(space.nodes), "..."))
+    function = problem.f if name == "f" else problem.g
     if function is None:
         return np.zeros_like(u if name == "f" else x)
     at = space.assemble(x, u)
-    values = np.asarray(function(at.u, at.grad_u, at.points, t), dtype=float)
+    shape = at.u.shape if name == "f" else at.u.shape[:2]
+    returned = function(at.u, at.grad_u, at.points, t)
+    values = finite_array(f"what {name} returns", returned, shape)
     return space.load_with(at.density, values if name == "f" else values[..., None] * at.normals)

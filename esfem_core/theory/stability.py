@@ -2,17 +2,13 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from esfem_core.checks import Array, finite_array, number, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, evolve
-from esfem_core.theory.defects import Defects, defects, interpolant
+from esfem_core.stepping import State, evolve, exact_state
+from esfem_core.theory.defects import Defects, defects
 
 __all__ = ["response"]
-
-Array = NDArray[np.float64]
 
 
 def response(
@@ -51,13 +47,15 @@ def response(
 
     Raises
     ------
-    ValueError
-        If the problem has no exact values, `start` does not hold p pairs, or as `evolve` does.
+    TypeError, ValueError
+        If the problem has no exact values, `start` does not hold p pairs of the right shapes, or
+        as `evolve` does, at the call; if chosen defects have the wrong shape, in their step.
 
     Examples
     --------
     A defect in x in the last step moves the nodes against it by tau/delta_0:
 
+    >>> import numpy as np
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
     >>> def chosen(n):
@@ -69,21 +67,29 @@ def response(
     >>> bool(np.allclose(e_x, (e_v - space.nodes) / 16 / 1.5))
     True
     """
-    if start is not None and len(start) != order:
-        raise ValueError(f"start must hold p = {order} pairs (e_x, e_u), got {len(start)}")
-    states = [interpolant(space, problem, n * step) for n in range(order)]
+    order, step = whole_number("order", order, 1), number("step", step, above=0)
+    states = [exact_state(space, problem, n * step) for n in range(order)]
     if start is not None:
-        states = [
-            State(s.t, s.x + e_x, None, s.u + e_u)
-            for s, (e_x, e_u) in zip(states, start, strict=True)
-        ]
+        if len(start) != order:
+            raise ValueError(f"start must hold p = {order} pairs (e_x, e_u), got {len(start)}")
+        states = [_perturbed(s, *e, n) for n, (s, e) in enumerate(zip(states, start, strict=True))]
 
     def perturbation(n: int) -> tuple[Array, Array, Array]:
         own, wanted = defects(space, problem, order, step, n), chosen(n)
-        return own.u - wanted.u, own.v - wanted.v, own.x - wanted.x
+        rest = [
+            a - finite_array(f"chosen({n}).{name}", getattr(wanted, name), a.shape)
+            for name, a in own._asdict().items()
+        ]
+        return rest[0], rest[1], rest[2]
 
     run = evolve(
         space, problem, order, step, end, start=states, solver="direct", perturbation=perturbation
     )
-    for state in run:
-        yield state, interpolant(space, problem, state.t)
+    return ((state, exact_state(space, problem, state.t)) for state in run)
+
+
+def _perturbed(exact: State, e_x: Array, e_u: Array, n: int) -> State:
+    """Starting values with errors."""
+    e_x = finite_array(f"start[{n}]: e_x", e_x, exact.x.shape)
+    e_u = finite_array(f"start[{n}]: e_u", e_u, exact.u.shape)
+    return State(exact.t, exact.x + e_x, None, exact.u + e_u)

@@ -6,7 +6,10 @@ from scipy.linalg import solve
 
 import esfem_core as ec
 from esfem_core.problems import Exact
+from esfem_core.solvers import superlu
+from esfem_core.stepping import exact_state
 from esfem_core.study import observed_orders
+from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import Ellipsoid
 from esfem_core.theory.defect_terms import (
     Field,
@@ -14,7 +17,16 @@ from esfem_core.theory.defect_terms import (
     temporal_terms_u,
     temporal_terms_v,
 )
-from esfem_core.theory.defects import defects, dual_norm, interpolant, spatial_defects
+from esfem_core.theory.defects import (
+    defects,
+    dual_norm,
+    exact_values,
+    rate_of_mass,
+    rate_of_u,
+    source_load,
+    spatial_defects,
+    stretching,
+)
 
 EXPANDING = ec.problems.expanding_sphere()
 
@@ -88,7 +100,7 @@ def test_what_the_scheme_reproduces_has_no_defect():
 def test_what_time_leaves_has_order_p(order):
     space, problem, t, steps = space_of(0), triaxial(), 1.0, [1 / 20, 1 / 40]
     limit = spatial_defects(space, problem, t)
-    M, A = space.mass_stiffness(interpolant(space, problem, t).x)
+    M, A = space.mass_stiffness(exact_state(space, problem, t).x)
     K = M + A
     sizes = []
     for step in steps:
@@ -114,10 +126,10 @@ def test_the_terms_of_the_proof_add_up(order):
 def test_the_spatial_defect_of_a_prescribed_motion_is_a_derivative():
     space, problem = space_of(1, 1), ec.problems.oscillating_ellipsoid("oscillation")
     t, eps = 0.3, 1e-4
-    now = interpolant(space, problem, t)
+    now = exact_state(space, problem, t)
 
     def mass_term(s):
-        state = interpolant(space, problem, s)
+        state = exact_state(space, problem, s)
         return space.mass_stiffness(state.x)[0] @ state.u
 
     A = space.mass_stiffness(now.x)[1]
@@ -139,33 +151,138 @@ def test_dual_norm_is_a_supremum():
     assert dual_norm(K, r) == pytest.approx(attained)
     w = rng.normal(size=r.shape)
     assert np.sum(r * w) / np.sqrt(np.sum(w * (K @ w))) < attained
-    with pytest.raises(ValueError, match="functional must have 42 rows"):
-        dual_norm(K, r[:5])
 
 
-def test_bad_input():
+def test_dual_norm_refuses_what_does_not_fit_or_is_not_finite():
     space = space_of(0)
-    with pytest.raises(ValueError, match="n = p = 3, got n = 2"):
+    M, _ = space.mass_stiffness(space.nodes)
+    with pytest.raises(ValueError, match=r"functional must have shape \(42, ...\), got \(5, 3\)"):
+        dual_norm(M, space.nodes[:5])
+    with pytest.raises(ValueError, match=r"functional\[3\] is nan"):
+        dual_norm(superlu(M), np.where(np.arange(42) == 3, np.nan, 1.0))
+
+
+def test_steps_and_problems_without_defects_are_refused():
+    space = space_of(0)
+    with pytest.raises(ValueError, match="n must be at least p = 3, got 2"):
         defects(space, EXPANDING, 3, 0.1, 2)
-    with pytest.raises(ValueError, match="n = 2 p = 6 on, got n = 5"):
+    with pytest.raises(ValueError, match=r"n must be an integer >= 0, got 2\.5"):
+        defects(space, EXPANDING, 2, 0.1, 2.5)
+    with pytest.raises(ValueError, match="step must be a finite number > 0, got 0"):
+        defects(space, EXPANDING, 2, 0, 2)
+    with pytest.raises(ValueError, match="n must be at least 2 p = 6, got 5"):
         temporal_terms_u(space, EXPANDING, 3, 0.1, 5)
-    with pytest.raises(ValueError, match="exact solution"):
-        defects(space, ec.Problem(u0=lambda x: x[:, 0]), 1, 0.1, 1)
+    for function in (defects, temporal_terms_u, temporal_terms_v):
+        with pytest.raises(ValueError, match="exact solution"):
+            function(space, ec.Problem(u0=lambda x: x[:, 0]), 1, 0.1, 2)
+    prescribed = ec.problems.oscillating_ellipsoid()
+    for function in (temporal_terms_u, temporal_terms_v):
+        with pytest.raises(ValueError, match="but the motion is prescribed"):
+            function(space, prescribed, 1, 0.1, 2)
 
 
-def test_the_spatial_terms_of_the_proof_add_up():
-    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+def test_integers_of_any_library_are_steps():
+    space = space_of(0)
+    expected = defects(space, EXPANDING, 2, 0.1, 3)
+    for part, same in zip(
+        defects(space, EXPANDING, 2.0, np.float64(0.1), np.int64(3)), expected, strict=True
+    ):
+        np.testing.assert_array_equal(part, same)
 
-    def axis(t):
-        return np.sqrt(1 + 0.25 * np.sin(t))
 
-    field = Field(
+def test_the_rate_of_mass_times_u_is_a_derivative():
+    """For one and for two components of u."""
+    space, t = space_of(1), 0.4
+    one = triaxial()
+    exact = one.exact._replace(
+        u=lambda x, t: np.stack([one.exact.u(x, t), np.exp(t) * x[..., 2]], axis=-1)
+    )
+    for problem in (one, ec.Problem(u0=lambda x: exact.u(x, 0.0), exact=exact)):
+
+        def mass_term(s, problem=problem):
+            state = exact_state(space, problem, s)
+            return space.mass_times(state.x, state.u)
+
+        rate = rate_of_mass(space, *exact_values(space, problem, t), rate_of_u(space, problem, t))
+        np.testing.assert_allclose(rate, derivative(mass_term, t), atol=1e-11)
+
+
+@pytest.mark.parametrize("components", [(), (2,)])
+def test_a_source_is_loaded_with_the_values_it_returns(components):
+    space, n = space_of(0), 42
+    u = np.ones((n, *components))
+    problem = ec.Problem(
+        u0=u, f=lambda u, grad_u, x, t: 3 * u, g=lambda u, grad_u, x, t: 2 * np.ones(u.shape[:2])
+    )
+    M, _ = space.mass_stiffness(space.nodes)
+    np.testing.assert_allclose(source_load(space, problem, "f", space.nodes, u, 0.0), 3 * M @ u)
+    load = source_load(space, problem, "g", space.nodes, u, 0.0)
+    np.testing.assert_allclose(
+        load, space.load(space.nodes, 2 * space.normals(space.nodes)), atol=1e-15
+    )
+    nothing = ec.Problem(u0=u)
+    assert source_load(space, nothing, "f", space.nodes, u, 0.0).shape == u.shape
+    assert source_load(space, nothing, "g", space.nodes, u, 0.0).shape == (n, 3)
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (lambda u: u[..., None], r"what g returns must have shape \(80, 6\), got \(80, 6, 1\)"),
+        (lambda u: 1.0, r"what g returns must have shape \(80, 6\), got \(\)"),
+        (lambda u: u * np.nan, r"what g returns must be finite, but what g returns\[0, 0\] is nan"),
+    ],
+)
+def test_sources_of_another_shape_or_not_finite_are_refused(returned, message):
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2)
+    problem = ec.Problem(u0=lambda x: x[:, 0], g=lambda u, grad_u, x, t: returned(u))
+    with pytest.raises(ValueError, match=message):
+        source_load(space, problem, "g", space.nodes, space.nodes[:, 0], 0.0)
+
+
+def test_nodal_values_of_another_shape_are_refused():
+    space = space_of(0)
+    x, u = space.nodes, space.nodes[:, 0]
+    with pytest.raises(ValueError, match='name must be "f" or "g", got \'h\''):
+        source_load(space, EXPANDING, "h", x, u, 0.0)
+    with pytest.raises(ValueError, match=r"u must have shape \(42, \.\.\.\), got \(1,\)"):
+        source_load(space, EXPANDING, "f", x, u[:1], 0.0)
+    with pytest.raises(ValueError, match=r"v must have shape \(42, 3\), got \(42,\)"):
+        stretching(space, x, u, u)
+    with pytest.raises(ValueError, match=r"rate must have shape \(42,\), got \(42, 3\)"):
+        rate_of_mass(space, x, x, u, x)
+
+
+def axis(t):
+    return np.sqrt(1 + 0.25 * np.sin(t))
+
+
+def field_of(problem):
+    """What the spatial terms need to know of the oscillating ellipsoid."""
+    return Field(
         surface=lambda t: Ellipsoid((axis(t), 1.0, 1.0)),
         v=lambda x, t: x * [np.cos(t) / (8 * axis(t) ** 2), 0, 0],
         f=lambda x, t: problem.f(None, None, x, t),
     )
+
+
+def test_the_spatial_terms_of_the_proof_add_up():
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    field = field_of(problem)
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere, exactness=10)
     *terms, spurious = spatial_terms_u(space, problem, field, 0.6).values()
     expected = spatial_defects(space, problem, 0.6).u
     assert np.abs(sum(terms) - expected).max() < 1e-7
     assert all(np.abs(r).max() > 2e-7 for r in [*terms, spurious])
+
+
+def test_fields_of_another_shape_are_refused():
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    space, field = space_of(0), field_of(problem)
+    with pytest.raises(ValueError, match=r"field\.v\(x, t\) must have shape \(20, 6, 3\)"):
+        spatial_terms_u(space, problem, field._replace(v=lambda x, t: x[..., 0]), 0.6)
+    with pytest.raises(ValueError, match=r"field\.f\(x, t\) must have shape \(20, 6\)"):
+        spatial_terms_u(space, problem, field._replace(f=lambda x, t: x), 0.6)
+    two = ec.Problem(u0=space.nodes, exact=problem.exact._replace(u=lambda x, t: x[..., :2]))
+    with pytest.raises(ValueError, match=r"the exact u must have shape \(42,\), got \(42, 2\)"):
+        spatial_terms_u(space, two, field, 0.6)

@@ -55,5 +55,18 @@ def test_starting_errors_stay_where_they_are():
     for (e_x, e_u), (computed, exact) in zip(start, pairs[:3], strict=True):
         assert np.allclose(computed.x - exact.x, e_x, atol=1e-15)
         assert np.allclose(computed.u - exact.u, e_u, atol=1e-15)
-    with pytest.raises(ValueError, match="p = 3 pairs"):
-        next(response(SPACE, PROBLEM, 3, 0.1, 0.3, nothing, start[:2]))
+
+
+def test_starting_errors_and_defects_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match=r"start must hold p = 3 pairs \(e_x, e_u\), got 2"):
+        response(SPACE, PROBLEM, 3, 0.1, 0.3, nothing, [(ZERO, ZERO[:, 0])] * 2)
+    with pytest.raises(ValueError, match=r"start\[1\]: e_u must have shape \(42,\), got \(42, 3\)"):
+        response(SPACE, PROBLEM, 2, 0.1, 0.3, nothing, [(ZERO, ZERO[:, 0]), (ZERO, ZERO)])
+    with pytest.raises(ValueError, match="step must be a finite number > 0"):
+        response(SPACE, PROBLEM, 2, -0.1, 0.3, nothing)
+
+    def chosen(n):
+        return Defects(ZERO[:, :1], ZERO, ZERO)
+
+    with pytest.raises(ValueError, match=r"chosen\(2\)\.u must have shape \(42,\), got \(42, 1\)"):
+        list(response(SPACE, PROBLEM, 2, 0.1, 0.3, chosen))
