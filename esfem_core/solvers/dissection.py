@@ -10,15 +10,14 @@ by O(sqrt(n)) of them, and a Cholesky factor has O(N log N) entries (George, 197
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from esfem_core.checks import Array, Ints, finite_array, whole_number
 
 __all__ = ["Dissection", "dissect"]
 
-# Which of several directions of equal length to cut across is left neither to rounding nor to
-# chance: on round surfaces the planes of the coordinates separate with the fewest nodes.
+# Among directions of equal length rounding errors would choose. These weights prefer x to y to z:
+# on round surfaces the coordinate planes are the separators with the fewest nodes.
 PREFERENCE = np.array([1.0, 0.99, 0.98])
-
-Ints = NDArray[np.int64]
 
 
 class Dissection(NamedTuple):
@@ -45,8 +44,16 @@ class Dissection(NamedTuple):
         last_leaf = (self.node_part + 1) << (self.depth - self.node_depth)
         return np.lexsort((-self.node_depth, last_leaf))
 
+    def __repr__(self) -> str:
+        separators = np.count_nonzero(self.node_depth < self.depth)
+        return (
+            f"Dissection(depth={self.depth}, parts={2**self.depth}, "
+            f"elements={len(self.cell_part)}, nodes={len(self.node_depth)}, "
+            f"nodes in separators={separators})"
+        )
 
-def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> Dissection:
+
+def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     """Divide a mesh until its parts have about `part_size` nodes.
 
     Parameters
@@ -56,7 +63,7 @@ def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> D
     points : (N, 3) float array
         Positions of the nodes, each of them in some element.
     part_size : int
-        No part is divided further than to one element.
+        At least 1. No part is divided further than to one element.
 
     Returns
     -------
@@ -64,21 +71,28 @@ def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> D
 
     Raises
     ------
+    TypeError
+        If an argument does not hold numbers.
     ValueError
-        If `part_size` is less than 1.
+        If `part_size` is not an integer or less than 1, if an array has the wrong shape, if a
+        position is not finite, or if a node lies in no element.
 
     Examples
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
     >>> tree = dissect(space.cells, space.nodes)
+    >>> tree
+    Dissection(depth=4, parts=16, elements=512, nodes=1026, nodes in separators=306)
     >>> tree.depth, np.bincount(tree.cell_part).tolist()[:3]
     (4, [32, 32, 32])
     >>> np.bincount(tree.node_depth).tolist()[:3]  # on one great circle, on the next, ...
     [64, 62, 60]
     """
-    if part_size < 1:
-        raise ValueError(f"part_size must be at least 1, got {part_size!r}")
+    part_size = whole_number("part_size", part_size, least=1)
+    points = finite_array("points", points, ("N", 3))
+    if cells.ndim != 2 or cells.shape[1] < 3:
+        raise ValueError(f"cells must have shape (T, n) with n >= 3, got {cells.shape}")
     divisions = np.log2(max(len(points) / part_size, 1))
     depth = int(min(np.ceil(divisions), np.log2(len(cells))))
     cell_part = _bisect(PREFERENCE * points[cells[:, :3]].mean(axis=1), depth)
@@ -87,12 +101,14 @@ def dissect(cells: Ints, points: NDArray[np.float64], part_size: int = 100) -> D
     for nodes in cells.T:
         np.minimum.at(first, nodes, cell_part)
         np.maximum.at(last, nodes, cell_part)
+    if (last < 0).any():
+        raise ValueError(f"node {int(np.argmin(last))} lies in no element")
     # Numbers of parts are paths from the root: where two of them part, all digits below differ.
     height = np.frexp((first ^ last).astype(float))[1].astype(np.int64)
     return Dissection(depth, cell_part, depth - height, first >> height)
 
 
-def _bisect(centers: NDArray[np.float64], depth: int) -> Ints:
+def _bisect(centers: Array, depth: int) -> Ints:
     """Halve a set of points `depth` times, all parts of a depth at once; number of the part."""
     order = np.arange(len(centers))
     bounds = np.array([0, len(centers)])

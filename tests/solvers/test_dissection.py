@@ -64,8 +64,20 @@ def test_no_more_parts_than_elements():
 
 def test_parts_without_nodes_are_refused():
     space = SPACES[0]
-    with pytest.raises(ValueError, match="part_size must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="part_size must be an integer >= 1, got 0"):
         dissect(space.cells, space.nodes, part_size=0)
+
+
+def test_meshes_that_are_none_are_refused():
+    space = SPACES[0]
+    with pytest.raises(ValueError, match=r"points must have shape \(N, 3\), got \(4098, 2\)"):
+        dissect(space.cells, space.nodes[:, :2])
+    with pytest.raises(
+        ValueError, match=r"cells must have shape \(T, n\) with n >= 3, got \(8192, 2"
+    ):
+        dissect(space.cells[:, :2], space.nodes)
+    with pytest.raises(ValueError, match="node 4098 lies in no element"):
+        dissect(space.cells, np.r_[space.nodes, [[0, 0, 0]]])
 
 
 def test_pieces_that_do_not_touch():
