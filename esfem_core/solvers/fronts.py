@@ -1,26 +1,115 @@
-"""Dense fronts of a dissected mesh: which nodes each has, and where they stand in memory.
+r"""Dense fronts of a dissected mesh: which nodes each has, and where they stand in memory.
 
 The nodes of a mesh are eliminated part by part, from the smallest parts of a dissection to the
 whole. The front of a part is a dense matrix on the nodes I that the part owns and the nodes B
 around it, which larger parts own. Parts of one depth do not wait for each other: those of similar
 size form a batch, are padded to one shape and worked on at once. All of that depends on the mesh
 alone; :mod:`esfem_core.solvers.multifrontal` fills the fronts with numbers.
+
+A small mesh shows what is remembered. Three triangles on five nodes lie in two parts, the first
+triangle in part 0, the others in part 1::
+
+      1-----3          part 0 owns node 0        (depth 1)
+     / \   / \         part 1 owns nodes 3, 4    (depth 1)
+    /   \ /   \        the whole owns 1, 2       (depth 0), which separate its parts
+   0-----2-----4
+
+>>> cells = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3]])
+>>> tree = Dissection(
+...     depth=1,
+...     cell_part=np.array([0, 1, 1]),
+...     node_depth=np.array([1, 0, 0, 1, 1]),
+...     node_part=np.array([0, 0, 0, 1, 1]),
+... )
+
+First, which nodes each part of depth 1 has. Those it owns come before those around it:
+
+>>> nodes = nodes_of_parts(tree, cells, depth=1)
+>>> list(zip(nodes.part.tolist(), nodes.node.tolist(), strict=True))
+[(0, 0), (0, 1), (0, 2), (1, 3), (1, 4), (1, 1), (1, 2)]
+>>> nodes.outer.tolist()  # 1 and 2 are the nodes B of both parts
+[False, True, True, False, False, True, True]
+>>> nodes.counts.tolist()  # nodes I and B of each part
+[[1, 2], [2, 2]]
+
+Second, both parts are put into one batch and padded to its largest: 2 nodes I and 2 nodes B::
+
+             part 0          part 1
+    nodes    0 . | 1 2       3 4 | 1 2       the dot is a padded node
+    row      0 1 | 2 3       0 1 | 2 3       of the front
+
+>>> batches = batches_of_similar_size(nodes.counts)
+>>> [parts.tolist() for parts in batches.parts], batches.padded.tolist()
+([[0, 1]], [[2, 2], [2, 2]])
+
+Third, places in memory: both fronts, of 4 x 4 entries each, stand one behind the other:
+
+>>> places = places_in_memory(nodes, batches)
+>>> places.row.tolist()  # of the front, for each of the pairs above
+[0, 2, 3, 0, 1, 2, 3]
+>>> places.own.tolist(), places.nodes.tolist(), places.front.tolist()
+([0, 2], [0, 4], [0, 16])
+>>> int(places.entry(part=1, i=2, j=3))  # what couples nodes 1 and 2 in the front of part 1
+27
+
+The fronts of all depths put that together. In the vectors of a solve the nodes stand in the order
+of their fronts, padded nodes I included; slot 0 is that of all padded nodes B (here are none)::
+
+    slot     0 | 1 2 | 3 4 | 5 6
+    node       | 1 2 | 0 . | 3 4
+               whole, part 0, part 1
+
+>>> coupled = np.zeros((5, 5))
+>>> for nodes_of_cell in cells:
+...     coupled[np.ix_(nodes_of_cell, nodes_of_cell)] = 1.0
+>>> fronts = Fronts(tree, cells, csr_array(coupled))
+>>> fronts
+Fronts(nodes=5, levels=2, fronts=3, largest front=4 x 4, entries of a factor per node=4.0)
+>>> fronts.slot.tolist(), fronts.size
+([3, 1, 2, 5, 6], 7)
+>>> level = fronts.levels[1]
+>>> batch = level.batches[0]
+>>> batch.slots.tolist()
+[[3, 4, 1, 2], [5, 6, 1, 2]]
+>>> level.padding.tolist()  # the dot's diagonal entry, set to 1: its front stays regular
+[5]
+
+Of the 19 entries of the matrix, the 4 of nodes 1 and 2 come in at depth 0 and the 10 in the rows
+of nodes 0, 3 and 4 at depth 1; the other 5 mirror some of those and are not needed:
+
+>>> [len(level.entries) for level in fronts.levels]
+[4, 10]
+
+What is left of a front when its nodes I are eliminated is a matrix S on its nodes 1 and 2. They are
+rows and columns 0 and 1 of the front of the whole, which has 2 x 2 entries:
+
+>>> (batch.rows[0][:, None] + batch.columns[0]).tolist()  # where S of part 0 is added to it
+[[0, 1], [2, 3]]
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from esfem_core.checks import Bools, Ints
 from esfem_core.solvers.dissection import Dissection
+from esfem_core.solvers.systems import square
 
-__all__ = ["Batch", "Fronts", "Level"]
+__all__ = [
+    "Batch",
+    "Batching",
+    "Fronts",
+    "Level",
+    "PartNodes",
+    "Places",
+    "batches_of_similar_size",
+    "nodes_of_parts",
+    "places_in_memory",
+]
 
 BATCH = 32  # parts that a batch has at least, where there are so many
 BATCHES = 4  # batches that a depth has at most
-
-Ints = NDArray[np.int64]
 
 
 class Batch(NamedTuple):
@@ -69,59 +158,161 @@ class Level(NamedTuple):
     padding: Ints
 
 
-class _Layout:
-    """Which nodes the parts of one depth have, and where their fronts stand in the memory.
+class PartNodes(NamedTuple):
+    """The nodes of all parts of one depth: pairs of a part and a node.
 
     Attributes
     ----------
-    part, node, local : int arrays
-        Triples of a part, a node of it and the node's number in the part's front.
-    inner : bool array
-        Whether the part owns the node.
-    groups : list of int arrays
-        Parts that form a batch.
-    owned, width : (parts,) int arrays
-        m_I and m of each front.
-    start, offset, base : (parts,) int arrays
-        Where its nodes I, all its nodes and the front itself begin among those of this depth.
-    totals : (int, int, int)
-        How many nodes I, nodes and entries of fronts there are, padded ones included.
+    part, node : (n,) int arrays
+        The pairs, sorted by part, and in each part I before B.
+    outer : (n,) bool array
+        Whether the node is one of B, owned by a larger part.
+    rank : (n,) int array
+        Number of the node among I or among B of its part.
+    counts : (P, 2) int array
+        How many nodes I and nodes B each part has.
+    keys : (n,) int array
+        Numbers in increasing order that stand for the pairs, see :meth:`find`.
+    in_larger : (N,) bool array
+        Whether a node of the mesh is owned by a part of a smaller depth.
     """
 
-    def __init__(self, tree: Dissection, cells: Ints, depth: int) -> None:
-        self._n_nodes, self._outer = len(tree.node_depth), tree.node_depth < depth
-        part = (tree.cell_part >> (tree.depth - depth)).repeat(cells.shape[1])
-        node = cells.ravel()
-        relevant = tree.node_depth[node] <= depth  # others have been eliminated in smaller parts
-        self._keys = np.unique(self._key(part[relevant], node[relevant]))
-        twice, self.node = np.divmod(self._keys, self._n_nodes)
-        self.part, self.inner = twice // 2, twice % 2 == 0
-        counts = np.bincount(twice, minlength=2 << depth)
-        rank = np.arange(len(twice)) - (np.cumsum(counts) - counts)[twice]
-        inner, outer = counts.reshape(-1, 2).T
-
-        self.groups = np.array_split(
-            np.argsort(inner + outer, kind="stable"), np.clip((1 << depth) // BATCH, 1, BATCHES)
-        )
-        numbers = np.empty((5, 1 << depth), dtype=np.int64)
-        self.owned, self.width, self.start, self.offset, self.base = numbers
-        totals = np.zeros((3, 1), dtype=np.int64)
-        for parts in self.groups:
-            m_I, m = inner[parts].max(), inner[parts].max() + outer[parts].max()
-            sizes = np.array([[m_I], [m], [m * m]])
-            numbers[:2, parts] = sizes[:2]
-            numbers[2:, parts] = totals + sizes * np.arange(len(parts))
-            totals += sizes * len(parts)
-        self.totals = tuple(totals[:, 0].tolist())
-        self.local = np.where(self.inner, rank, rank + self.owned[self.part])
-
-    def _key(self, part: Ints, node: Ints) -> Ints:
-        """Numbers that sort by part, then inner nodes before outer ones."""
-        return (2 * part + self._outer[node]) * self._n_nodes + node
+    part: Ints
+    node: Ints
+    outer: Bools
+    rank: Ints
+    counts: Ints
+    keys: Ints
+    in_larger: Bools
 
     def find(self, part: Ints, node: Ints) -> Ints:
-        """Numbers of nodes in the fronts of parts."""
-        return self.local[np.searchsorted(self._keys, self._key(part, node))]
+        """Numbers of pairs: ``self.part[n], self.node[n]`` are `part` and `node`."""
+        return np.searchsorted(self.keys, _keys(self.in_larger, part, node))
+
+
+class Batching(NamedTuple):
+    """The batches of one depth.
+
+    Attributes
+    ----------
+    parts : list of int arrays
+        Parts of each batch.
+    padded : (P, 2) int array
+        m_I and m_B of each part: the largest numbers of nodes I and nodes B in its batch.
+    """
+
+    parts: list[Ints]
+    padded: Ints
+
+
+class Places(NamedTuple):
+    """Where the fronts of one depth and their nodes stand, one behind the other.
+
+    Attributes
+    ----------
+    row : (n,) int array
+        Row of each of the pairs in the front of its part.
+    width : (P,) int array
+        m, the number of rows of each front.
+    own, nodes, front : (P,) int arrays
+        How many nodes I, nodes and entries of fronts stand before those of each part, padded ones
+        included.
+    """
+
+    row: Ints
+    width: Ints
+    own: Ints
+    nodes: Ints
+    front: Ints
+
+    def entry(self, part: Ints, i: Ints, j: Ints) -> Ints:
+        """Where entry (i, j) of the front of a part stands in the memory."""
+        return self.front[part] + i * self.width[part] + j
+
+
+def nodes_of_parts(tree: Dissection, cells: Ints, depth: int) -> PartNodes:
+    """Nodes that are left in the parts of a depth when all smaller parts have been eliminated.
+
+    Parameters
+    ----------
+    tree : Dissection
+    cells : (T, n) int array
+        Nodes of each element.
+    depth : int
+        That of the P = 2^depth parts.
+
+    Returns
+    -------
+    PartNodes
+    """
+    in_larger = tree.node_depth < depth
+    # The first digits of the number of a smallest part are that of the part of this depth.
+    part = (tree.cell_part >> (tree.depth - depth)).repeat(cells.shape[1])
+    node = cells.ravel()
+    left = tree.node_depth[node] <= depth
+    keys = np.unique(_keys(in_larger, part[left], node[left]))  # elements share nodes
+    part_and_side, node = np.divmod(keys, len(in_larger))
+    part, side = np.divmod(part_and_side, 2)
+    counts = np.bincount(part_and_side, minlength=2 << depth)
+    first = np.cumsum(counts) - counts
+    rank = np.arange(len(keys)) - first[part_and_side]
+    return PartNodes(part, node, side == 1, rank, counts.reshape(-1, 2), keys, in_larger)
+
+
+def _keys(in_larger: Bools, part: Ints, node: Ints) -> Ints:
+    """Numbers of pairs that sort by part, then side (0 for I, 1 for B), then node."""
+    part_and_side = 2 * part + in_larger[node]
+    return part_and_side * len(in_larger) + node
+
+
+def batches_of_similar_size(counts: Ints) -> Batching:
+    """Divide the parts of a depth into batches.
+
+    Parameters
+    ----------
+    counts : (P, 2) int array
+        Numbers of nodes I and B of each part.
+
+    Returns
+    -------
+    Batching
+        Of at most 4 batches, and of one alone if they had less than 32 parts.
+    """
+    number = np.clip(len(counts) // BATCH, 1, BATCHES)
+    by_size = np.argsort(counts.sum(axis=1), kind="stable")
+    batches = np.array_split(by_size, number)
+    padded = np.empty_like(counts)
+    for parts in batches:
+        padded[parts] = counts[parts].max(axis=0)
+    return Batching(batches, padded)
+
+
+def places_in_memory(nodes: PartNodes, batches: Batching) -> Places:
+    """Let the fronts of a depth stand one behind the other, batch by batch.
+
+    Parameters
+    ----------
+    nodes : PartNodes
+    batches : Batching
+        Of those parts.
+
+    Returns
+    -------
+    Places
+    """
+    order = np.concatenate(batches.parts)
+    m_I, width = batches.padded[:, 0], batches.padded.sum(axis=1)
+    # The nodes B of a front come after all its nodes I, padded ones included.
+    row = np.where(nodes.outer, m_I[nodes.part] + nodes.rank, nodes.rank)
+    own, all_nodes, front = (_before(sizes, order) for sizes in (m_I, width, width**2))
+    return Places(row, width, own, all_nodes, front)
+
+
+def _before(sizes: Ints, order: Ints) -> Ints:
+    """Total size of all that stands before each part when the parts stand in an order."""
+    before = np.empty_like(sizes)
+    before[order] = np.cumsum(sizes[order]) - sizes[order]
+    return before
 
 
 class Fronts:
@@ -145,65 +336,132 @@ class Fronts:
         Number of slots. Slot 0 stands for padded nodes B: zeros are read and written there.
     levels : list of Level
         Those of the tree, the whole mesh first.
+
+    Raises
+    ------
+    TypeError
+        If the pattern is not in CSR format.
+    ValueError
+        If it has not as many rows and columns as the tree has nodes.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere).fronts
+    Fronts(nodes=1026, levels=5, fronts=31, largest front=95 x 95,
+        entries of a factor per node=81.4)
     """
 
     def __init__(self, tree: Dissection, cells: Ints, pattern: csr_array) -> None:
-        column = pattern.indices.astype(np.int64)
-        row = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))
-        # An entry comes in where the first of its two nodes is eliminated.
-        first = tree.node_depth[row] >= tree.node_depth[column]
-        entry_depth = np.where(first, tree.node_depth[row], -1)
-        self.n_entries = len(column)
-        self.slot = np.zeros(pattern.shape[0], dtype=np.int64)
+        n = square(pattern)
+        if n != len(tree.node_depth):
+            raise ValueError(
+                f"pattern must have a row for each of the {len(tree.node_depth)} nodes of the "
+                f"tree, got shape {pattern.shape}"
+            )
+        node_j = pattern.indices.astype(np.int64)
+        node_i = np.repeat(np.arange(n), np.diff(pattern.indptr))
+        # An entry comes in where the first of its two nodes is eliminated, in the row of that node.
+        # Its mirror image is not needed: elimination does not read F_BI.
+        first = tree.node_depth[node_i] >= tree.node_depth[node_j]
+        entry_depth = np.where(first, tree.node_depth[node_i], -1)
+        self.n_entries = len(node_j)
+        self.slot = np.zeros(n, dtype=np.int64)
         self.size = 1
         self.levels: list[Level] = []
         above = None
         for depth in range(tree.depth + 1):
-            layout = _Layout(tree, cells, depth)
+            nodes = nodes_of_parts(tree, cells, depth)
+            batches = batches_of_similar_size(nodes.counts)
+            places = places_in_memory(nodes, batches)
+
+            own = ~nodes.outer
+            first_slot = self.size + places.own
+            self.slot[nodes.node[own]] = first_slot[nodes.part[own]] + places.row[own]
+            self.size += int(batches.padded[:, 0].sum())
+
             entries = np.flatnonzero(entry_depth == depth)
-            part = tree.node_part[row[entries]]
-            i, j = (layout.find(part, nodes[entries]) for nodes in (row, column))
-            places = layout.base[part] + i * layout.width[part] + j
-            batches, padding = self._batches(layout, above)
-            self.levels.append(Level(batches, layout.totals[2], entries, places, padding))
-            self.size += layout.totals[0]
-            above = layout
-
-    def _batches(self, layout: _Layout, above: _Layout | None) -> tuple[list[Batch], Ints]:
-        """Batches of a depth, and its padding; gives the nodes it owns their slots."""
-        part, node, inner, outer = layout.part, layout.node, layout.inner, ~layout.inner
-        self.slot[node[inner]] = self.size + layout.start[part[inner]] + layout.local[inner]
-        at = layout.offset[part] + layout.local
-        slots, rows, columns = np.zeros((3, layout.totals[1]), dtype=np.int64)
-        slots[at] = self.slot[node]
-        if above is not None:
-            whole = part[outer] // 2
-            columns[at[outer]] = above.find(whole, node[outer])
-            rows[at[outer]] = above.base[whole] + columns[at[outer]] * above.width[whole]
-        padded = np.ones(layout.totals[1], dtype=bool)
-        padded[at] = False
-
-        batches, padding = [], []
-        for parts in layout.groups:
-            first, count = parts[0], len(parts)
-            m_I, m = layout.owned[first], layout.width[first]
-            own = slice(
-                self.size + layout.start[first], self.size + layout.start[first] + count * m_I
+            part = tree.node_part[node_i[entries]]
+            i, j = (places.row[nodes.find(part, node[entries])] for node in (node_i, node_j))
+            level = Level(
+                _batches(nodes, batches, places, self.slot, first_slot, above),
+                int((places.width**2).sum()),
+                entries,
+                places.entry(part, i, j),
+                _padding(nodes, batches, places),
             )
-            flat = slice(layout.offset[first], layout.offset[first] + count * m)
-            memory = slice(layout.base[first], layout.base[first] + count * m * m)
-            front_slots = slots[flat].reshape(count, m)
-            front_slots[:, :m_I] = np.arange(own.start, own.stop).reshape(count, m_I)
-            batches.append(
-                Batch(
-                    own,
-                    front_slots,
-                    front_slots[:, m_I:].ravel(),
-                    memory,
-                    rows[flat].reshape(count, m)[:, m_I:],
-                    columns[flat].reshape(count, m)[:, m_I:],
-                )
+            self.levels.append(level)
+            above = nodes, places
+
+    @property
+    def n_stored(self) -> int:
+        """Number of entries that a factor stores: the rows of the nodes I of all fronts."""
+        batches = [batch for level in self.levels for batch in level.batches]
+        return sum(batch.slots.shape[1] * (batch.own.stop - batch.own.start) for batch in batches)
+
+    def __repr__(self) -> str:
+        shapes = [batch.slots.shape for level in self.levels for batch in level.batches]
+        fronts, rows = sum(count for count, _ in shapes), max(m for _, m in shapes)
+        return (
+            f"Fronts(nodes={len(self.slot)}, levels={len(self.levels)}, fronts={fronts}, largest "
+            f"front={rows} x {rows}, entries of a factor per node="
+            f"{self.n_stored / len(self.slot):.1f})"
+        )
+
+
+def _batches(
+    nodes: PartNodes,
+    batches: Batching,
+    places: Places,
+    slot: Ints,
+    first_slot: Ints,
+    above: tuple[PartNodes, Places] | None,
+) -> list[Batch]:
+    """Batches of a depth; `above` are nodes and places of the next smaller depth."""
+    # Slots, and rows and columns in larger fronts, of all nodes of all fronts. Padded nodes keep
+    # the zeros: S is zero in their rows and columns, and slot 0 is theirs.
+    at = places.nodes[nodes.part] + places.row
+    slots, rows, columns = np.zeros((3, int(places.width.sum())), dtype=np.int64)
+    slots[at] = slot[nodes.node]
+    if above is not None:
+        # All nodes B of part q are nodes of part q // 2, of which q is a half.
+        outer = nodes.outer
+        whole, at_outer = nodes.part[outer] // 2, at[outer]
+        larger_nodes, larger = above
+        columns[at_outer] = larger.row[larger_nodes.find(whole, nodes.node[outer])]
+        rows[at_outer] = larger.entry(whole, columns[at_outer], np.zeros_like(whole))
+
+    found = []
+    for parts in batches.parts:
+        q, count = parts[0], len(parts)
+        m_I, m = int(batches.padded[q, 0]), int(places.width[q])
+        own = _stretch(first_slot[q], count * m_I)
+        flat = _stretch(places.nodes[q], count * m)
+        front_slots = slots[flat].reshape(count, m)
+        # Padded nodes I have slots of their own: so the slots of a batch are a slice.
+        front_slots[:, :m_I] = np.arange(own.start, own.stop).reshape(count, m_I)
+        found.append(
+            Batch(
+                own,
+                front_slots,
+                front_slots[:, m_I:].ravel(),
+                _stretch(places.front[q], count * m * m),
+                rows[flat].reshape(count, m)[:, m_I:],
+                columns[flat].reshape(count, m)[:, m_I:],
             )
-            front, i = np.nonzero(padded[flat].reshape(count, m)[:, :m_I])
-            padding.append(layout.base[parts[front]] + i * (m + 1))
-        return batches, np.concatenate(padding)
+        )
+    return found
+
+
+def _padding(nodes: PartNodes, batches: Batching, places: Places) -> Ints:
+    """Where the diagonals of padded nodes I stand: rows from the part's own number up to m_I."""
+    padding = []
+    for parts in batches.parts:
+        row = np.arange(batches.padded[parts[0], 0])
+        front, i = np.nonzero(row >= nodes.counts[parts, :1])
+        padding.append(places.entry(parts[front], i, i))
+    return np.concatenate(padding)
+
+
+def _stretch(start: int, length: int) -> slice:
+    return slice(int(start), int(start) + length)
