@@ -109,3 +109,27 @@ def test_nearly_singular_matrices_are_kept_in_double_precision(weight, dtype):
     np.testing.assert_array_equal(
         factorise(A, space.fronts).solve(b), factorise(A, space.fronts, dtype).solve(b)
     )
+
+
+@pytest.mark.parametrize("dtype", [np.float16, int, complex, "double double"])
+def test_other_precisions_are_refused(dtype):
+    space = SPACES["linear"]
+    with pytest.raises(ValueError, match="dtype must be float32, float64 or None, got "):
+        factorise(system(space), space.fronts, dtype)
+
+
+def test_precisions_have_several_names():
+    space = SPACES["linear"]
+    A, b = system(space), np.ones(len(space.nodes))
+    expected = factorise(A, space.fronts, np.float64).solve(b)
+    for dtype in (float, "float64", np.dtype("f8")):
+        np.testing.assert_array_equal(factorise(A, space.fronts, dtype).solve(b), expected)
+
+
+def test_single_precision_takes_half_the_memory(space):
+    n, stored = len(space.nodes), space.fronts.n_stored
+    for dtype, size in ((np.float32, 4), (np.float64, 8)):
+        assert repr(factorise(system(space), space.fronts, dtype)) == (
+            f"BlockFactor(unknowns={n}, levels={len(space.fronts.levels)}, entries per unknown="
+            f"{stored / n:.1f}, memory={stored * size / 1e6:.1f} MB, dtype={np.dtype(dtype)})"
+        )
