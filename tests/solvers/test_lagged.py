@@ -108,7 +108,7 @@ def test_zero_columns_and_bad_guesses():
     assert relative_residual(A, x[:, 0], b[:, 0]) < 1e-11
     assert abs(x[:, 1]).max() == 0
     x = solver.solve(A, b, np.ones_like(b))
-    assert abs(x[:, 1]).max() < 1e-10
+    assert abs(x[:, 1]).max() == 0
 
 
 def test_sums_are_exact():
@@ -137,8 +137,35 @@ def test_unsolvable_systems_are_reported(bad):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"rtol": 0}, r"rtol must lie in \(0, 1\)"), ({"price": 0}, "price must be at least 1")],
+    [
+        ({"rtol": 0}, "rtol must be a finite number > 0 and < 1, got 0"),
+        ({"rtol": 1}, "rtol must be a finite number > 0 and < 1, got 1"),
+        ({"price": 0}, "price must be an integer >= 1, got 0"),
+        ({"price": 1.5}, "price must be an integer >= 1, got 1.5"),
+    ],
 )
-def test_refuses(arguments, message):
+def test_parameters_outside_their_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         LaggedSolver(**arguments)
+
+
+def test_systems_whose_parts_do_not_fit_are_refused():
+    A, solver = system(1), LaggedSolver()
+    n = A.shape[0]
+    with pytest.raises(ValueError, match=rf"A must be square, got shape \({n}, {n - 1}\)"):
+        solver.solve(A[:, 1:], np.ones(n), np.ones(n))
+    with pytest.raises(ValueError, match=rf"b must have shape .* \({n}, {n}\), got \(1, {n}\)"):
+        solver.solve(A, np.ones((1, n)), np.ones((1, n)))
+    with pytest.raises(ValueError, match=rf"guess must have shape \({n}, 2\), got \({n},\)"):
+        solver.solve(A, np.ones((n, 2)), np.ones(n))
+    assert (solver.factorisations, solver.iterations) == (0, 0)
+
+
+def test_says_what_it_has_done():
+    solver = LaggedSolver(1e-6, 7, fronts)
+    assert repr(solver) == (
+        "LaggedSolver(rtol=1e-06, price=7, iterations=0, factorisations=0, factor=None)"
+    )
+    A = system(1)
+    solver.solve(A, np.ones(A.shape[0]), np.zeros(A.shape[0]))
+    assert f"iterations={solver.iterations}, factorisations=1, factor=BlockFac" in repr(solver)
