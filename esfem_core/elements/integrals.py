@@ -15,22 +15,27 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array, Bools
 from esfem_core.elements.lagrange import Basis
 from esfem_core.elements.quadrature import TriangleRule
 
-__all__ = ["DegenerateElementError", "ElementTables"]
+__all__ = [
+    "DegenerateElementError",
+    "ElementError",
+    "ElementTables",
+    "Metric",
+    "NotFiniteError",
+    "chunks",
+]
 
 CHUNK = 12288  # points at which the metric is computed at a time: their arrays stay in the cache
 FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
 ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
-Array = NDArray[np.float64]
 
-
-class DegenerateElementError(ArithmeticError):
-    """An element has lost its area, or a nodal position is not finite.
+class ElementError(ArithmeticError):
+    """Something went wrong in an element.
 
     Attributes
     ----------
@@ -41,6 +46,14 @@ class DegenerateElementError(ArithmeticError):
     def __init__(self, message: str, element: int) -> None:
         super().__init__(message)
         self.element = element
+
+
+class DegenerateElementError(ElementError):
+    """An element has lost its area or turned over, or a nodal position is not finite."""
+
+
+class NotFiniteError(ElementError):
+    """A function returned NaN or infinity in an element."""
 
 
 class Metric(NamedTuple):
@@ -82,17 +95,22 @@ class ElementTables:
         phi, (d1, d2) = basis.values, basis.derivatives
         w = rule.weights
         a, b = np.triu_indices(phi.shape[1])
+        self.flat = phi.shape[1] == 3  # a flat element has one metric: one point stands for all
+        self.weights = w
         self.values = phi
         self.tests = np.ascontiguousarray((phi * w[:, None]).T)  # (n, Q)
         self.pairs = np.stack([a, b])  # local index pairs a <= b of the symmetric half
         mass = (phi[:, a] * phi[:, b]).T * w  # (P, Q)
         cross = -(d1[:, a] * d2[:, b] + d2[:, a] * d1[:, b])
         stiffness = [c.T * w for c in (d1[:, a] * d1[:, b], cross, d2[:, a] * d2[:, b])]
-        if phi.shape[1] == 3:
-            # A flat element has one metric: one point stands for all.
+        self.weighted_mass = np.ascontiguousarray(mass)  # (P, Q), for a weight at each point
+        gradient_tests = [(d * w[:, None]).T for d in (d1, d2)]
+        if self.flat:
             d1, d2, mass = d1[:1], d2[:1], mass.sum(axis=1, keepdims=True)
+            gradient_tests = [c.sum(axis=1, keepdims=True) for c in gradient_tests]
             stiffness = [c.sum(axis=1, keepdims=True) for c in stiffness]
         self.gradients = np.vstack([d1, d2])  # (2Q, n)
+        self.gradient_tests = np.hstack(gradient_tests)  # (n, 2Q)
         self.mass = np.ascontiguousarray(mass)
         self.stiffness = np.hstack(stiffness)  # (P, 3Q), for the factors G/s, F/s, E/s
 
@@ -130,6 +148,75 @@ class ElementTables:
             np.multiply(entry, g.inverse, out=factor)
         return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
 
+    def mass_only(self, g: Metric) -> tuple[Array]:
+        """Element mass entries alone, in a tuple of one."""
+        return (self.mass @ g.s,)
+
+    def weighted(self, g: Metric, mass: Array | float, tensor: Array | float) -> tuple[Array]:
+        """Element entries of int mass w z + grad w . tensor grad z for the pairs a <= b.
+
+        Parameters
+        ----------
+        g : Metric
+        mass : float or (Q, C) float array
+            At the quadrature points.
+        tensor : float, or (Q, C) or (3, 3, Q, C) float array
+            Symmetric.
+
+        Returns
+        -------
+        tuple of one (P, C) array
+        """
+        entries = np.zeros((len(self.mass), g.s.shape[1]))
+        if np.ndim(mass):
+            entries += self.weighted_mass @ (mass * g.s)
+        elif mass != 0:
+            entries += mass * (self.mass @ g.s)
+        if np.ndim(tensor) == 4:
+            factors = self._tensor_factors(g, self._one_a_flat_element(np.asarray(tensor)))
+        elif np.ndim(tensor) or tensor != 0:
+            scale = self._one_a_flat_element(np.asarray(tensor)) if np.ndim(tensor) else tensor
+            factors = scale * g.inverse * np.stack([g.G, g.F, g.E])
+        else:
+            return (entries,)
+        entries += self.stiffness @ factors.reshape(-1, g.s.shape[1])
+        return (entries,)
+
+    def _one_a_flat_element(self, values: Array) -> Array:
+        """Where gradients are constant, the mean over the points does as well as all of them."""
+        if not self.flat:
+            return values
+        share = self.weights / self.weights.sum()
+        mean: Array = np.tensordot(values, share, (-2, 0))[..., None, :]
+        return mean
+
+    @staticmethod
+    def _tensor_factors(g: Metric, tensor: Array) -> Array:
+        """Factors of the three products of derivatives, (3, Q, C).
+
+        With the inverse metric, grad phi = c1 t1 + c2 t2, c = [[G, -F], [-F, E]]/s^2 (phi1, phi2):
+        what stands between (phi1, phi2) and (psi1, psi2) is inverse metric, t_i . tensor t_j,
+        inverse metric.
+        """
+        dual1 = (g.G * g.t1 - g.F * g.t2) * g.inverse**2
+        dual2 = (g.E * g.t2 - g.F * g.t1) * g.inverse**2
+        first, second = (np.einsum("ijqc,jqc->iqc", tensor, dual) for dual in (dual1, dual2))
+        products = (_dot(dual1, first), -_dot(dual1, second), _dot(dual2, second))
+        factors: Array = g.s * np.stack(products)
+        return factors
+
+    def flux_load(self, g: Metric, flux: Array) -> Array:
+        """Element entries of int flux . grad phi_a, (m, n, C), for fluxes (m, 3, Q, C)."""
+        if self.flat:
+            flux = self._one_a_flat_element(flux)
+        along1 = (flux * g.t1).sum(axis=1)
+        along2 = (flux * g.t2).sum(axis=1)
+        parts = [g.G * along1 - g.F * along2, g.E * along2 - g.F * along1]
+        entries: Array = self.gradient_tests @ (
+            np.concatenate(parts, axis=1) * np.tile(g.inverse, (2, 1))
+        )
+        return entries
+
     def gradient(self, g: Metric, u: Array) -> Array:
         """Surface gradient (m, 3, Q, C) of the nodal values u (m, n, C)."""
         u1, u2 = np.split(self.gradients @ u, 2, axis=1)
@@ -147,7 +234,7 @@ def _dot(a: Array, b: Array) -> Array:
     return out
 
 
-def _report_first(bad: NDArray[np.bool_], what: str, nodes: Array, first: int) -> None:
+def _report_first(bad: Bools, what: str, nodes: Array, first: int) -> None:
     """Raise for the first element with a bad quadrature point."""
     if bad.any():
         element = int(np.argmax(bad.any(axis=0)))

@@ -3,12 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from esfem_core.checks import Array, Ints
 
 __all__ = ["Basis", "node_indices", "tabulate"]
 
 
-def node_indices(degree: int) -> NDArray[np.int64]:
+def node_indices(degree: int) -> Ints:
     """Barycentric indices of the equispaced nodes, in VTK's order.
 
     The three corners, then the edges (0, 1), (1, 2), (2, 0) with ``degree - 1`` nodes each in
@@ -53,11 +54,11 @@ class Basis(NamedTuple):
         d phi_a / d xi and d phi_a / d eta at q.
     """
 
-    values: NDArray[np.float64]
-    derivatives: NDArray[np.float64]
+    values: Array
+    derivatives: Array
 
 
-def tabulate(degree: int, points: NDArray[np.float64]) -> Basis:
+def tabulate(degree: int, points: Array) -> Basis:
     """Evaluate the Lagrange basis of a degree and its gradient at reference points.
 
     Silvester's product formula: the function of the node with indices (a, b, c) is

@@ -3,16 +3,14 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array, Ints
 from esfem_core.elements.lagrange import node_indices
 
 __all__ = ["number_cells", "place_nodes"]
 
-Array = NDArray[np.float64]
 
-
-def number_cells(faces: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
+def number_cells(faces: Ints, degree: int) -> Ints:
     """Number the nodes of each element: vertices, then nodes on edges, then interior nodes."""
     n_vertices, n_cells, per_edge = int(faces.max()) + 1, len(faces), degree - 1
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -34,8 +32,8 @@ def number_cells(faces: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
 
 def place_nodes(
     vertices: Array,
-    faces: NDArray[np.int64],
-    cells: NDArray[np.int64],
+    faces: Ints,
+    cells: Ints,
     degree: int,
     project: Callable[[Array], Array] | None,
 ) -> Array:
@@ -57,7 +55,7 @@ def place_nodes(
     return nodes
 
 
-def flat_triangles(cells: NDArray[np.int64], degree: int) -> NDArray[np.int64]:
+def flat_triangles(cells: Ints, degree: int) -> Ints:
     """Split each element of degree k into k² flat triangles between its nodes.
 
     Parameters

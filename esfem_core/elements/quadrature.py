@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import roots_jacobi, roots_legendre
+
+from esfem_core.checks import Array, whole_number
 
 __all__ = ["TriangleRule", "triangle_rule"]
 
@@ -47,8 +48,8 @@ class TriangleRule(NamedTuple):
         Polynomials up to this degree are integrated exactly.
     """
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    points: Array
+    weights: Array
     exactness: int
 
 
@@ -78,12 +79,11 @@ def triangle_rule(exactness: int) -> TriangleRule:
     >>> len(rule.weights), round(float(rule.weights @ rule.points[:, 0] ** 4), 15)
     (6, 0.033333333333333)
     """
-    if exactness != int(exactness) or exactness < 0:
-        raise ValueError(f"exactness must be an integer >= 0, got {exactness!r}")
+    exactness = whole_number("exactness", exactness, 0)
     for degree, orbits in _ORBITS.items():
         if degree >= exactness:
             return _symmetric_rule(degree, orbits)
-    return _product_rule(int(exactness))
+    return _product_rule(exactness)
 
 
 def _symmetric_rule(degree: int, orbits: tuple[tuple[float, ...], ...]) -> TriangleRule:

@@ -4,15 +4,14 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-__all__ = ["NodalSum", "SparsePattern", "with_data"]
+from esfem_core.checks import Array, Ints
 
-Array = NDArray[np.float64]
+__all__ = ["NodalSum", "SparsePattern", "combination", "with_data"]
 
 
-def _sums(order: NDArray[np.int64], starts: NDArray[np.int64]) -> csr_array:
+def _sums(order: Ints, starts: Ints) -> csr_array:
     """Matrix whose row i adds up the entries order[starts[i]:starts[i + 1]] of a vector."""
     ends = np.r_[starts, len(order)].astype(np.int32)
     ones = np.ones(len(order))
@@ -43,8 +42,8 @@ class SparsePattern:
 
     def __init__(
         self,
-        cells: NDArray[np.int64],
-        pairs: NDArray[np.int64],
+        cells: Ints,
+        pairs: Ints,
         n_nodes: int,
         slices: Sequence[slice],
     ) -> None:
@@ -60,7 +59,7 @@ class SparsePattern:
         for i, c in reversed(list(enumerate(slices))):
             first[sums[:, c]] = i
         alone = first == last
-        # Sums of equally many terms in a row spare the processor wrong guesses.
+        # Runs of sums with equally many terms: the processor predicts their loops.
         place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
         self._shared = int(np.count_nonzero(alone))  # places from here on are shared
         self._parts = [self._part(place[sums[:, c]]) for c in slices]
@@ -80,7 +79,7 @@ class SparsePattern:
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         self._n_sums = len(keys)
 
-    def _part(self, places: NDArray[np.int64]) -> tuple[csr_array, slice, NDArray[np.int64]]:
+    def _part(self, places: Ints) -> tuple[csr_array, slice, Ints]:
         """What sums the entries of a chunk, and the places of its own and of the shared sums."""
         order = np.argsort(places, axis=None, kind="stable")
         used, starts = np.unique(places.ravel()[order], return_index=True)
@@ -88,9 +87,9 @@ class SparsePattern:
         first = own[0] if len(own) else 0
         return _sums(order, starts), slice(first, first + len(own)), shared
 
-    def matrices(self, chunks: Iterable[tuple[Array, Array]]) -> tuple[csr_array, csr_array]:
-        """Sum the element entries of two matrices, (P, C) each for every chunk, into CSR."""
-        sums = np.empty((2, self._n_sums))
+    def matrices(self, chunks: Iterable[tuple[Array, ...]], count: int) -> list[csr_array]:
+        """Sum the element entries of several matrices, (P, C) each for every chunk, into CSR."""
+        sums = np.empty((count, self._n_sums))
         sums[:, self._shared :] = 0.0
         for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
             n_own = own.stop - own.start
@@ -98,8 +97,7 @@ class SparsePattern:
                 chunk_sums = gather @ values.ravel()
                 out[own] = chunk_sums[:n_own]
                 out[shared] += chunk_sums[n_own:]
-        M, A = (with_data(self.pattern, out.take(self.pattern.data)) for out in sums)
-        return M, A
+        return [with_data(self.pattern, out.take(self.pattern.data)) for out in sums]
 
 
 def with_data(pattern: csr_array, data: Array) -> csr_array:
@@ -109,10 +107,17 @@ def with_data(pattern: csr_array, data: Array) -> csr_array:
     return matrix
 
 
+def combination(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
+    """The matrix a M + b A of two matrices with the same sparsity pattern."""
+    data = a * M.data
+    data += b * A.data
+    return with_data(M, data)
+
+
 class NodalSum:
     """Sum of element vectors into nodal vectors; made once per space."""
 
-    def __init__(self, cells: NDArray[np.int64], n_nodes: int) -> None:
+    def __init__(self, cells: Ints, n_nodes: int) -> None:
         nodes = cells.T.ravel()
         order = np.argsort(nodes, kind="stable")
         counts = np.bincount(nodes, minlength=n_nodes)

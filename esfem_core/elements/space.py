@@ -6,13 +6,13 @@ at x", and every method that depends on the geometry takes x as its first argume
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
+from esfem_core.checks import Array, Ints, finite_array, real_array, shown, whole_number
 from esfem_core.elements.integrals import ElementTables, Metric, chunks
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.numbering import number_cells, place_nodes
@@ -22,31 +22,6 @@ from esfem_core.solvers import Fronts, dissect
 from esfem_core.surfaces import check_triangulation
 
 __all__ = ["SurfaceSpace"]
-
-Array = NDArray[np.float64]
-
-
-class Assembly(NamedTuple):
-    """What a time step needs on Γ_h[x]; made by :meth:`SurfaceSpace.assemble`.
-
-    Attributes
-    ----------
-    M, A : (N, N) CSR arrays
-        Mass and stiffness matrix.
-    density : (Q, T) float array
-        Area density at the quadrature points.
-    normals, points : (T, Q, 3) float arrays
-    u : (T, Q, ...) float array
-    grad_u : (T, Q, ..., 3) float array
-    """
-
-    M: csr_array
-    A: csr_array
-    density: Array = np.empty(0)
-    normals: Array = np.empty(0)
-    points: Array = np.empty(0)
-    u: Array = np.empty(0)
-    grad_u: Array = np.empty(0)
 
 
 class SurfaceSpace:
@@ -76,6 +51,10 @@ class SurfaceSpace:
     degree : int
     rule : TriangleRule
         Points and weights of the quadrature, Q of them.
+    tables : ElementTables
+        Basis functions and their products at these points.
+    pattern : (N, N) CSR array
+        The sparsity pattern of all matrices.
 
     Raises
     ------
@@ -101,20 +80,22 @@ class SurfaceSpace:
         project: Callable[[Array], Array] | None = None,
         exactness: int | None = None,
     ) -> None:
-        if degree != int(degree) or degree < 1:
-            raise ValueError(f"degree must be an integer >= 1, got {degree!r}")
+        self.degree = whole_number("degree", degree, 1)
         check_triangulation(tri)
-        self.degree = int(degree)
         self.rule = triangle_rule(2 * self.degree if exactness is None else exactness)
         basis = tabulate(self.degree, self.rule.points)
-        vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
+        vertices = np.array(tri.vertices, dtype=float)
+        faces = np.array(tri.faces, dtype=np.int64)
         self.cells = number_cells(faces, self.degree)
         self.nodes = place_nodes(vertices, faces, self.cells, self.degree, project)
-        self._tables = ElementTables(basis, self.rule)
-        self._chunks = list(chunks(len(self.cells), len(self._tables.gradients) // 2))
-        self._pattern = SparsePattern(self.cells, self._tables.pairs, len(self.nodes), self._chunks)
+        self.tables = ElementTables(basis, self.rule)
+        self._chunks = list(chunks(len(self.cells), len(self.tables.gradients) // 2))
+        self._scatter = SparsePattern(self.cells, self.tables.pairs, len(self.nodes), self._chunks)
+        self.pattern = self._scatter.pattern
         self._sum = NodalSum(self.cells, len(self.nodes))
         self._cells_last = np.ascontiguousarray(self.cells.T)  # (n, T)
+        self.nodes.setflags(write=False)
+        self.cells.setflags(write=False)
 
     def __repr__(self) -> str:
         return (
@@ -144,55 +125,104 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        at = self.assemble(x)
-        return at.M, at.A
+        M, A = self.assemble((self.tables.mass_stiffness(g) for _, g in self.metrics(x)), 2)
+        return M, A
 
-    def assemble(self, x: Array, u: Array | None = None) -> "Assembly":
-        """Compute in one pass over Γ_h[x] what a time step needs there.
+    def mass(self, x: Array) -> csr_array:
+        """Mass matrix alone, in half the time of both; see :meth:`mass_stiffness`."""
+        [M] = self.assemble((self.tables.mass_only(g) for _, g in self.metrics(x)), 1)
+        return M
+
+    def assemble(self, entries: Iterator[tuple[Array, ...]], count: int) -> list[csr_array]:
+        """Sum element entries into matrices.
+
+        Parameters
+        ----------
+        entries : iterator of tuples of (P, C) float arrays
+            For each chunk of :meth:`metrics`, the entries of each matrix for the index pairs
+            ``tables.pairs``.
+        count : int
+            How many matrices.
+
+        Returns
+        -------
+        list of (N, N) CSR arrays
+        """
+        return self._scatter.matrices(entries, count)
+
+    def interpolate(self, function: Callable[[Array], ArrayLike], x: Array) -> Array:
+        """Nodal values of a function on Γ_h[x].
+
+        Parameters
+        ----------
+        function : callable
+            (N, 3) -> (N, ...), real and finite.
+        x : (N, 3) float array
+
+        Returns
+        -------
+        (N, ...) float array
+
+        Raises
+        ------
+        ValueError, TypeError
+            If `x` has another shape, or the function does not return one row of finite real
+            numbers for each point.
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+        >>> space.interpolate(lambda x: x[:, 2] ** 2, space.nodes).max()
+        np.float64(1.0)
+        """
+        x = real_array("x", x, self.nodes.shape)
+        if not callable(function):
+            raise TypeError(f"function must take points (N, 3), got {shown(function)}")
+        values = finite_array("function(x)", function(x), (len(x), "..."))
+        return np.array(values)
+
+    def integrate(self, x: Array, values: ArrayLike) -> Array:
+        """Integrals over Γ_h[x] of values at its quadrature points.
 
         Parameters
         ----------
         x : (N, 3) float array
-        u : (N, ...) float array, optional
-            Nodal values of a function to evaluate at the quadrature points.
+        values : float or (T, Q, ...) float array
+            A number stands for a constant: 1 gives the area.
 
         Returns
         -------
-        Assembly
-            Without `u`, only its matrices.
+        (...) float array or float
+            One integral for each component.
 
         Raises
         ------
-        ValueError
-            If an argument has the wrong shape.
+        ValueError, TypeError
+            If an argument has the wrong shape or is not real.
         DegenerateElementError
             If an element has no area or a position is not finite.
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+        >>> print(f"{space.integrate(space.nodes, 1) / (4 * np.pi):.5f}")
+        0.99996
+        >>> u = space.evaluate(space.nodes[:, 2] ** 2)
+        >>> print(f"{space.integrate(space.nodes, u) / (4 * np.pi / 3):.4f}")
+        0.9999
         """
-        if u is None:
-            return Assembly(
-                *self._pattern.matrices(self._tables.mass_stiffness(g) for _, g in self._metrics(x))
-            )
-        n_cells, n_points = len(self.cells), len(self.rule.weights)
-        local = self._local(u)
-        gradient = np.empty((len(local), 3, n_points, n_cells))
-        normals, points = np.empty((2, 3, n_points, n_cells))
-        density = np.empty((n_points, n_cells))
+        return self.integral_with(self.density(x).T, values)
 
-        def entries() -> Iterator[tuple[Array, Array]]:
-            for c, g in self._metrics(x):
-                gradient[..., c] = self._tables.gradient(g, local[:, :, c])
-                normals[..., c], density[:, c] = g.normals(), g.s
-                points[..., c] = self._tables.values @ g.nodes
-                yield self._tables.mass_stiffness(g)
-
-        return Assembly(
-            *self._pattern.matrices(entries()),
-            density,
-            normals.transpose(2, 1, 0),
-            points.transpose(2, 1, 0),
-            self._points_first(self._tables.values @ local, np.shape(u)[1:]),
-            self._points_first(gradient.reshape(-1, n_points, n_cells), (*np.shape(u)[1:], 3)),
-        )
+    def integral_with(self, density: Array, values: ArrayLike) -> Array:
+        """Integrals with the area density, (Q, T), of a surface."""
+        measure = density.T * self.rule.weights
+        if np.ndim(values) == 0:
+            return np.asarray(real_array("values", values, ()) * measure.sum())[()]
+        at_points = real_array("values", values, (*measure.shape, "..."))
+        total: Array = np.tensordot(measure, at_points, 2)[()]
+        return total
 
     def load(self, x: Array, values: Array) -> Array:
         """Load vector b_j = int_{Γ_h[x]} values phi_j, by quadrature.
@@ -223,11 +253,8 @@ class SurfaceSpace:
         >>> bool(np.allclose(b, M @ np.ones(len(b)), rtol=0, atol=1e-15))
         True
         """
-        values = np.asarray(values, dtype=float)
-        expected = (len(self.cells), len(self.rule.weights))
-        if values.shape[:2] != expected:
-            raise ValueError(f"values must have shape {(*expected, '...')}, got {values.shape}")
-        return self.load_with(self.density(x).T, values)
+        shape = (len(self.cells), len(self.rule.weights), "...")
+        return self.load_with(self.density(x).T, real_array("values", values, shape))
 
     def mass_times(self, x: Array, u: Array) -> Array:
         """M(x) u = (int u_h phi_j)_j, without the matrix.
@@ -253,10 +280,13 @@ class SurfaceSpace:
         return self.load(x, self.evaluate(u))
 
     def load_with(self, density: Array, values: Array) -> Array:
-        """Load vector with the area density, (Q, T), of an :class:`Assembly`."""
+        """Load vector with the area density, (Q, T), of a surface."""
         by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)
-        entries = self._tables.tests @ (density * by_point)
-        return self._sum(entries).reshape(-1, *values.shape[2:])
+        return self.sum_loads(self.tables.tests @ (density * by_point), values.shape[2:])
+
+    def sum_loads(self, entries: Array, trailing: tuple[int, ...]) -> Array:
+        """Sum element entries (m, n, T) into nodal vectors (N, *trailing)."""
+        return self._sum(entries).reshape(-1, *trailing)
 
     def evaluate(self, u: Array) -> Array:
         """Values of a finite element function at the quadrature points.
@@ -275,8 +305,8 @@ class SurfaceSpace:
         ValueError
             If `u` does not have one row per node.
         """
-        local = self._local(u)
-        return self._points_first(self._tables.values @ local, np.shape(u)[1:])
+        local = self.local(u)
+        return self.points_first(self.tables.values @ local, np.shape(u)[1:])
 
     def gradient(self, x: Array, u: Array) -> Array:
         """Surface gradient of a finite element function at the quadrature points of Γ_h[x].
@@ -300,11 +330,11 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        local = self._local(u)
+        local = self.local(u)
         out = np.empty((len(local), 3, len(self.rule.weights), len(self.cells)))
-        for c, g in self._metrics(x):
-            out[..., c] = self._tables.gradient(g, local[:, :, c])
-        return self._points_first(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
+        for c, g in self.metrics(x):
+            out[..., c] = self.tables.gradient(g, local[:, :, c])
+        return self.points_first(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
 
     def quadrature_points(self, x: Array) -> Array:
         """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3)."""
@@ -313,14 +343,14 @@ class SurfaceSpace:
     def normals(self, x: Array) -> Array:
         """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
         out = np.empty((3, len(self.rule.weights), len(self.cells)))
-        for c, g in self._metrics(x):
+        for c, g in self.metrics(x):
             out[..., c] = g.normals()
         return out.transpose(2, 1, 0)
 
     def density(self, x: Array) -> Array:
         """Area density of Γ_h[x] over the reference triangle, (T, Q): the area is w @ density.T."""
         out = np.empty((len(self.rule.weights), len(self.cells)))
-        for c, g in self._metrics(x):
+        for c, g in self.metrics(x):
             out[:, c] = g.s
         return out.T
 
@@ -332,44 +362,39 @@ class SurfaceSpace:
         """
         n = self.cells.shape[1]
         out = np.empty((n, 3, len(self.rule.weights), len(self.cells)))
-        for c, g in self._metrics(x):
-            out[..., c] = self._tables.gradient(g, np.eye(n)[:, :, None])
+        for c, g in self.metrics(x):
+            out[..., c] = self.tables.gradient(g, np.eye(n)[:, :, None])
         return out.transpose(3, 2, 0, 1)
 
     @cached_property
-    def elimination_order(self) -> NDArray[np.int64]:
+    def elimination_order(self) -> Ints:
         """Order of the nodes for sparse factorisations, (N,)."""
         return dissect(self.cells, self.nodes, part_size=10).order
 
     @cached_property
     def fronts(self) -> Fronts:
         """What :func:`esfem_core.solvers.factorise` needs for matrices of this space."""
-        return Fronts(dissect(self.cells, self.nodes), self.cells, self._pattern.pattern)
+        return Fronts(dissect(self.cells, self.nodes), self.cells, self.pattern)
 
     def mesh_size(self, x: Array) -> float:
         """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""
         corners = np.asarray(x)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 
-    def _metrics(self, x: Array) -> Iterator[tuple[slice, Metric]]:
+    def metrics(self, x: Array) -> Iterator[tuple[slice, Metric]]:
         """Metrics on Γ_h[x], chunk by chunk of elements."""
-        x = np.asarray(x, dtype=float)
-        if x.shape != self.nodes.shape:
-            raise ValueError(f"x must have shape {self.nodes.shape}, got {x.shape}")
-        coordinates = np.ascontiguousarray(x.T)
+        coordinates = np.ascontiguousarray(real_array("x", x, self.nodes.shape).T)
         for c in self._chunks:
             nodes = coordinates.take(self._cells_last[:, c], axis=1)
-            yield c, self._tables.metric(nodes, c.start)
+            yield c, self.tables.metric(nodes, c.start)
 
-    def _local(self, u: Array) -> Array:
+    def local(self, u: Array) -> Array:
         """Nodal values by element, (m, n, T)."""
-        u = np.asarray(u, dtype=float)
-        if u.ndim == 0 or len(u) != len(self.nodes):
-            raise ValueError(f"u must have {len(self.nodes)} rows, one per node, got {u.shape}")
+        u = real_array("u", u, (len(self.nodes), "..."))
         return np.ascontiguousarray(u.reshape(len(u), -1).T)[:, self._cells_last]
 
     @staticmethod
-    def _points_first(values: Array, trailing: tuple[int, ...]) -> Array:
+    def points_first(values: Array, trailing: tuple[int, ...]) -> Array:
         """Turn (m, Q, T) into (T, Q, *trailing)."""
         _, n_points, n_cells = values.shape
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)
