@@ -1,10 +1,18 @@
 """Evolving surface finite elements in space, backward difference formulas in time."""
 
-from esfem_core import errors, problems, study
-from esfem_core.elements import DegenerateElementError, SurfaceSpace
+from esfem_core import errors, laws, problems, study
+from esfem_core.elements import DegenerateElementError, ElementError, Surface, SurfaceSpace
+from esfem_core.laws import Species
 from esfem_core.problems import Exact, Problem
 from esfem_core.solvers import DirectSolver, LaggedSolver
-from esfem_core.stepping import EvolutionError, State, bdf, evolve
+from esfem_core.stepping import (
+    EvolutionError,
+    EvolutionWarning,
+    State,
+    Statistics,
+    bdf,
+    evolve,
+)
 from esfem_core.surfaces import (
     MeshingError,
     Quality,
@@ -22,13 +30,18 @@ from esfem_core.theory import defects, forms, multipliers, peano
 __all__ = [
     "DegenerateElementError",
     "DirectSolver",
+    "ElementError",
     "EvolutionError",
+    "EvolutionWarning",
     "Exact",
     "LaggedSolver",
     "MeshingError",
     "Problem",
     "Quality",
+    "Species",
     "State",
+    "Statistics",
+    "Surface",
     "SurfaceSpace",
     "bdf",
     "check_triangulation",
@@ -38,6 +51,7 @@ __all__ = [
     "exact_surfaces",
     "forms",
     "from_level_set",
+    "laws",
     "mesh_quality",
     "multipliers",
     "peano",

@@ -1,19 +1,24 @@
 """The problems of [LMV] Section 6: diffusion on surfaces whose motion is prescribed."""
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from esfem_core.checks import Array, one_of
+from esfem_core.elements import Surface
 from esfem_core.problems.problem import Exact, Problem
 from esfem_core.surfaces.exact_surfaces import Ellipsoid
 
-__all__ = ["baseball_bat", "oscillating_ellipsoid"]
+__all__ = ["Evaluation", "Solution", "baseball_bat", "oscillating_ellipsoid"]
 
-Array = NDArray[np.float64]
+Solution = Literal["decay", "oscillation"]
+Evaluation = Literal["direct", "lifted"]
 
 
-def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -> Problem:
+def oscillating_ellipsoid(
+    solution: Solution = "decay", evaluation: Evaluation = "direct"
+) -> Problem:
     r"""[LMV] Example 1: an ellipsoid whose first axis oscillates, with an exact solution.
 
     The surface (6.1) is Γ(t) = {x1^2/a(t) + x2^2 + x3^2 = 1} with a(t) = 1 + sin(t)/4, at t = 0
@@ -62,11 +67,8 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
         "decay": (lambda t: np.exp(-6 * t), lambda t: -6 * np.exp(-6 * t)),
         "oscillation": (lambda t: np.cos(np.pi * t), lambda t: -np.pi * np.sin(np.pi * t)),
     }
-    if solution not in amplitudes:
-        raise ValueError(f"solution must be one of {sorted(amplitudes)}, got {solution!r}")
-    if evaluation not in ("direct", "lifted"):
-        raise ValueError(f'evaluation must be "direct" or "lifted", got {evaluation!r}')
-    phi, dphi = amplitudes[solution]
+    one_of("evaluation", evaluation, Evaluation)
+    phi, dphi = amplitudes[one_of("solution", solution, Solution)]
 
     def a(t: float) -> float:
         return 1 + 0.25 * float(np.sin(t))
@@ -85,7 +87,8 @@ def oscillating_ellipsoid(solution: str = "decay", evaluation: str = "direct") -
     def exact_u(x: Array, t: float) -> Array:
         return phi(t) * x[..., 0] * x[..., 1]
 
-    def f(u: Array, grad_u: Array, x: Array, t: float) -> Array:
+    def f(at: Surface) -> Array:
+        x, t = at.points, at.t
         if evaluation == "lifted":
             x = _closest_on_spheroid(x, a(t))
         x1, x2, x3 = np.moveaxis(x, -1, 0)

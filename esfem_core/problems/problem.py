@@ -1,16 +1,19 @@
-"""How a problem is stated."""
+"""The central question of the package: which species diffuse, and by which law they move."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+
+from esfem_core.checks import Array, finite_array, shown
+from esfem_core.laws import Law, Prescribed, Regularised, Species
 
 __all__ = ["Exact", "Problem"]
 
-Array = NDArray[np.float64]
-Source = Callable[[Array, Array, Array, float], Array]
+RESERVED = ("x", "v")  # names of positions and velocities
 
 
 class Exact(NamedTuple):
@@ -22,101 +25,210 @@ class Exact(NamedTuple):
         X(p, t): positions at time t, (n, 3), of points p, (n, 3), of the initial surface.
     v : callable
         v(p, t): velocities, (n, 3), of the same points.
-    u : callable
-        u(x, t): values (n,) or (n, m) at points x, (n, 3), of the surface at time t.
+    u : callable, optional
+        u(x, t): values (n,) or (n, m) of the species "u" at points x, (n, 3), of the surface at
+        time t.
     closest : callable, optional
         p(x, t): closest points, (n, 3), on the surface at time t, of points x, (n, 3), near it
         ([N] (2.2)). This and `origin` are needed for lifted errors only.
     origin : callable, optional
         The inverse of X: points p of the initial surface, (n, 3), with X(p, t) = x, for points x,
         (n, 3), of the surface at time t.
+    fields : mapping of str to callable
+        As `u`, for other species and for the fields of the law.
     """
 
     x: Callable[[Array, float], Array]
     v: Callable[[Array, float], Array]
-    u: Callable[[Array, float], Array]
+    u: Callable[[Array, float], Array] | None = None
     closest: Callable[[Array, float], Array] | None = None
     origin: Callable[[Array, float], Array] | None = None
+    fields: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType({})
+
+    @property
+    def functions(self) -> dict[str, Callable[[Array, float], Array]]:
+        """All of u and `fields` that are given, by name."""
+        return dict(self.fields) if self.u is None else {"u": self.u, **self.fields}
+
+    def nodal(self, nodes: Array, t: float) -> tuple[Array, Array, dict[str, Array]]:
+        """Positions, velocities and all functions at the nodes.
+
+        Parameters
+        ----------
+        nodes : (N, 3) float array
+            On the initial surface.
+        t : float
+
+        Returns
+        -------
+        x, v : (N, 3) float arrays
+        fields : dict of str to (N, ...) float array
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a function does not return finite real numbers of the right shape.
+        """
+        x = np.array(finite_array("exact.x", self.x(nodes, t), nodes.shape))
+        v = np.array(finite_array("exact.v", self.v(nodes, t), nodes.shape))
+        values = {
+            name: np.array(finite_array(f"exact.{name}", function(x, t), (len(x), "...")))
+            for name, function in self.functions.items()
+        }
+        return x, v, values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False, eq=False)
 class Problem:
-    r"""Diffusion on a surface whose velocity is given by a law or prescribed.
+    r"""Species that diffuse on a surface, and the law by which it moves.
 
-    The equation on the surface is [N] (2.7), the regularised velocity law [N] (2.8):
-
-        u' + u div v - D lap u = f(u, grad u, x, t)
-        v - alpha lap v + beta H nu = g(u, grad u, x, t) nu
-
+    ``Problem(u0, f, g, alpha, beta, diffusivity)`` is the coupled problem of [N], (2.7) and (2.8),
     with u' the material derivative, H the sum of the principal curvatures (positive on a sphere)
-    and nu the outward unit normal.
+    and nu the outward unit normal::
+
+        u' + u div v - D lap u = f(u, grad u)
+        v - alpha lap v + beta H nu = g(u, grad u) nu
+
+    and ``Problem(u0, f, motion=X)`` the one of [LMV], on a surface with a prescribed motion. They
+    are short for ``Problem(species={"u": Species(...)}, law=...)``, which states any other.
 
     Parameters
     ----------
-    u0 : callable or array
-        Initial values: u0(x) at points (n, 3), returning (n,) or (n, m); or the nodal values.
+    u0 : callable, array or float, optional
+        Initial values of "u": u0(x) at points (N, 3), returning (N,) or (N, m); or the nodal
+        values; or a constant. Without them nothing diffuses.
     f, g : callable, optional
-        ``f(u, grad_u, x, t)`` with u of shape (T, Q) or (T, Q, m) and grad_u with one more index,
-        at the quadrature points x, (T, Q, 3), of the extrapolated surface; returns the shape of u
-        (f) or (T, Q) (g). None is zero.
+        ``f(at)`` and ``g(at)`` on a :class:`esfem_core.Surface`, at whose quadrature points
+        ``at.u`` has shape (T, Q) or (T, Q, m); f returns the shape of u, g (T, Q) or (T, Q, 3).
+        See :class:`esfem_core.Species` and :class:`esfem_core.laws.Regularised`. None is zero.
     alpha, beta : float
-        Regularisation alpha >= 0 and weight beta >= 0 of mean curvature.
-    diffusivity : float or (m,) array
-        D > 0, for all components or each.
-    law : {"regularised"}
-        The velocity law; not used with a prescribed motion.
+        Regularisation alpha >= 0 and weight beta >= 0 of mean curvature; 1 if not given.
+    diffusivity : float, (m,) array or callable
+        D >= 0; 1 if not given.
     motion : callable, optional
-        X(p, t), positions at time t of the points p of the initial surface: the surface's motion
-        is then prescribed ([LMV]) and g, alpha, beta are not used.
+        X(p, t), positions at time t of the points p of the initial surface, X(p, 0) = p.
     exact : Exact, optional
         Exact solution, for starting values and errors.
+    species : mapping of str to Species, optional
+        Instead of u0, f and diffusivity.
+    law : Law, optional
+        Instead of g, alpha, beta and motion.
+
+    Attributes
+    ----------
+    species : mapping of str to Species
+    law : Law
+    exact : Exact or None
 
     Raises
     ------
     ValueError, TypeError
-        If a parameter is out of range or no function where one is needed.
+        If a parameter is out of range, no function where one is needed, or given twice.
 
     Examples
     --------
     Mean curvature flow, regularised, with a diffusing substance that pushes outwards:
 
+    >>> problem = Problem(lambda x: 1 + x[:, 0], g=lambda at: 2 * at.u, alpha=0.1, beta=1.0)
+
+    Two species that react, on the surface that the first one drives:
+
+    >>> import esfem_core as ec
     >>> problem = Problem(
-    ...     u0=lambda x: 1 + x[:, 0], g=lambda u, grad_u, x, t: 2 * u, alpha=0.1, beta=1.0
+    ...     species={
+    ...         "a": ec.Species(1.0, lambda at: 0.1 - at["a"] + at["a"] ** 2 * at["b"]),
+    ...         "b": ec.Species(0.9, lambda at: 0.9 - at["a"] ** 2 * at["b"], diffusivity=10),
+    ...     },
+    ...     law=ec.laws.Regularised(alpha=0.1, beta=0.01, g=lambda at: 0.4 * at["a"]),
     ... )
     """
 
-    u0: Callable[[Array], Array] | Array
-    f: Source | None = None
-    g: Source | None = None
-    alpha: float = 1.0
-    beta: float = 1.0
-    diffusivity: float | Array = 1.0
-    law: str = "regularised"
-    motion: Callable[[Array, float], Array] | None = None
+    species: Mapping[str, Species] = field(default_factory=dict)
+    law: Law = field(default_factory=Regularised)
     exact: Exact | None = None
 
-    def __post_init__(self) -> None:
-        for name in ("f", "g", "motion"):
-            value = getattr(self, name)
-            if value is not None and not callable(value):
-                raise TypeError(f"{name} must be a function or None, got {type(value).__name__}")
-        for name in ("alpha", "beta"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be finite and not negative, got {value!r}")
-        if not (np.isfinite(self.diffusivity).all() and np.all(np.asarray(self.diffusivity) > 0)):
-            raise ValueError(f"diffusivity must be positive, got {self.diffusivity!r}")
-        if self.law != "regularised":
-            raise ValueError(f'law must be "regularised", got {self.law!r}')
-        if self.motion is not None and self.g is not None:
-            raise ValueError("g belongs to a velocity law, but the motion is prescribed")
+    def __init__(
+        self,
+        u0: Callable[[Array], ArrayLike] | ArrayLike | None = None,
+        f: Callable[..., Any] | None = None,
+        g: Callable[..., Array] | None = None,
+        alpha: float | None = None,
+        beta: float | None = None,
+        diffusivity: float | Array | Callable[..., Array] | None = None,
+        motion: Callable[[Array, float], Array] | None = None,
+        exact: Exact | None = None,
+        *,
+        species: Mapping[str, Species] | None = None,
+        law: Law | None = None,
+    ) -> None:
+        if species is not None:
+            _refuse(
+                "species is given: write it into its Species",
+                u0=u0, f=f, diffusivity=diffusivity,
+            )  # fmt: skip
+        elif u0 is None:
+            _refuse("it belongs to a species, so give u0 as well", f=f, diffusivity=diffusivity)
+            species = {}
+        else:
+            _function("f", f)
+            species = {"u": Species(u0, f, None, 1.0 if diffusivity is None else diffusivity)}
+        if law is not None:
+            _refuse(
+                "law is given: write it into the law", g=g, alpha=alpha, beta=beta, motion=motion
+            )
+        elif motion is not None:
+            _refuse(
+                "it belongs to a velocity law, but the motion is prescribed",
+                g=g, alpha=alpha, beta=beta,
+            )  # fmt: skip
+            law = Prescribed(motion)
+        else:
+            law = Regularised(1.0 if alpha is None else alpha, 1.0 if beta is None else beta, g)
+        if exact is not None and not isinstance(exact, Exact):
+            raise TypeError(f"exact must be an Exact(x, v, u, ...), got {shown(exact)}")
+        _check_names(species, law)
+        object.__setattr__(self, "species", MappingProxyType(dict(species)))
+        object.__setattr__(self, "law", law)
+        object.__setattr__(self, "exact", exact)
 
-    def initial_values(self, x: Array) -> Array:
-        """Nodal values of u0 at the nodes x, (N, 3)."""
-        values = np.array(self.u0(x) if callable(self.u0) else self.u0, dtype=float)
-        if values.ndim == 0 or len(values) != len(x):
-            raise ValueError(f"u0 must give one row for each of {len(x)} nodes, got {values.shape}")
-        if not np.isfinite(values).all():
-            i = int(np.argwhere(~np.isfinite(values))[0, 0])
-            raise ValueError(f"u0 is not finite at node {i}, {x[i].tolist()}")
-        return values
+    @property
+    def all_species(self) -> dict[str, Species]:
+        """Those of the law, then those of the problem."""
+        return {**self.law.species, **self.species}
+
+    def initial_values(self, x: Array) -> dict[str, Array]:
+        """Nodal values of all species at the nodes x, (N, 3), at the start."""
+        return {
+            name: species.initial_values(
+                x, "u0" if name == "u" else f"the initial value of {name!r}"
+            )
+            for name, species in self.all_species.items()
+        }
+
+
+def _refuse(reason: str, **given: object) -> None:
+    """Nothing may be given in two ways."""
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(f"{name} must not be given here: {reason}")
+
+
+def _function(name: str, value: object) -> None:
+    if value is not None and not callable(value):
+        raise TypeError(f"{name} must be a function of a Surface or None, got {shown(value)}")
+
+
+def _check_names(species: Mapping[str, Species], law: Law) -> None:
+    if not (hasattr(law, "species") and callable(getattr(law, "velocity", None))):
+        raise TypeError(
+            f"law must have species and velocity, see esfem_core.laws.Law; got {shown(law)}"
+        )
+    for name, one in species.items():
+        if not isinstance(name, str) or name in RESERVED:
+            raise ValueError(f"a species must have a name other than x and v, got {name!r}")
+        if not isinstance(one, Species):
+            raise TypeError(f"species[{name!r}] must be a Species, got {shown(one)}")
+        if name in law.species:
+            raise ValueError(
+                f"the law has a function {name!r} of its own: give the species another name"
+            )

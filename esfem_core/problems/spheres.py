@@ -2,18 +2,25 @@
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
-from esfem_core.problems.problem import Array, Exact, Problem, Source
+from esfem_core.checks import Array, one_of
+from esfem_core.elements import Surface
+from esfem_core.problems.problem import Exact, Problem
 from esfem_core.surfaces import to_unit_sphere
 
-__all__ = ["expanding_sphere", "growing_sphere", "shrinking_sphere"]
+__all__ = ["Coupling", "expanding_sphere", "growing_sphere", "shrinking_sphere"]
+
+Coupling = Literal["smooth", "printed", "none"]
 
 
-def expanding_sphere(coupling: str = "smooth", alpha: float = 1.0, beta: float = 1.0) -> Problem:
+def expanding_sphere(
+    coupling: Coupling = "smooth", alpha: float = 1.0, beta: float = 1.0
+) -> Problem:
     r"""[N] 7.3: a sphere of radius r(t) = 1 + sin(pi t)/2 with u = a(t) x1 x2 x3, a = exp(-t^2).
 
     x1 x2 x3 is an eigenfunction of the Laplace-Beltrami operator for -12/r^2, so that
@@ -49,24 +56,24 @@ def expanding_sphere(coupling: str = "smooth", alpha: float = 1.0, beta: float =
     def c(t: float) -> float:
         return dr(t) + 2 * alpha * dr(t) / r(t) ** 2 + 2 * beta / r(t)
 
-    def f(u: Array, grad_u: Array, x: Array, t: float) -> Array:
-        return (5 * dr(t) / r(t) - 2 * t + 12 / r(t) ** 2) * u
+    def f(at: Surface) -> Array:
+        return (5 * dr(at.t) / r(at.t) - 2 * at.t + 12 / r(at.t) ** 2) * at.u
 
-    def smooth(u: Array, grad_u: Array, x: Array, t: float) -> Array:
-        return c(t) + (u - exact_u(x, t))
+    def smooth(at: Surface) -> Array:
+        return c(at.t) + (at.u - exact_u(at.points, at.t))
 
-    def printed(u: Array, grad_u: Array, x: Array, t: float) -> Array:
-        return c(t) * u / exact_u(x, t)
+    def printed(at: Surface) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 is found and reported
+            return c(at.t) * at.u / exact_u(at.points, at.t)
 
-    def none(u: Array, grad_u: Array, x: Array, t: float) -> Array:
-        return np.full(u.shape, c(t))
+    def none(at: Surface) -> Array:
+        return np.full(at.u.shape, c(at.t))
 
     def exact_u(x: Array, t: float) -> Array:
         return a(t) * x[..., 0] * x[..., 1] * x[..., 2]
 
     couplings = {"smooth": smooth, "printed": printed, "none": none}
-    if coupling not in couplings:
-        raise ValueError(f"coupling must be one of {sorted(couplings)}, got {coupling!r}")
+    one_of("coupling", coupling, Coupling)
     return Problem(
         u0=lambda x: exact_u(x, 0.0),
         f=f,
@@ -151,8 +158,8 @@ def growing_sphere(
             raise ValueError(f"no exact radius at t = {t}: {solution.message}")
         return float(solution.y[0, -1])
 
-    def g(u: Array, grad_u: Array, x: Array, t: float) -> Array:
-        return delta * u
+    def g(at: Surface) -> Array:
+        return delta * at.u
 
     return _sphere_problem(radius, speed, u0, alpha=alpha, beta=beta, g=g)
 
@@ -164,7 +171,7 @@ def _sphere_problem(
     *,
     alpha: float,
     beta: float,
-    g: Source | None = None,
+    g: Callable[[Surface], Array] | None = None,
 ) -> Problem:
     """A sphere of radius r(t), r' = speed(r), with u = u0/r^2 constant on it."""
     return Problem(

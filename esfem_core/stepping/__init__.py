@@ -1,16 +1,21 @@
 """Steps in time: linearly implicit BDF of order p."""
 
 from esfem_core.stepping import bdf
+from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.run import MASSES, evolve
-from esfem_core.stepping.scheme import Perturbation
+from esfem_core.stepping.scheme import Mass, Perturbation
 from esfem_core.stepping.start import exact_state
 from esfem_core.stepping.state import EvolutionError, State, check_state
+from esfem_core.stepping.systems import Statistics
 
 __all__ = [
     "MASSES",
     "EvolutionError",
+    "EvolutionWarning",
+    "Mass",
     "Perturbation",
     "State",
+    "Statistics",
     "bdf",
     "check_state",
     "evolve",

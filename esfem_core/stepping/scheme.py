@@ -1,174 +1,295 @@
-"""One step after the other: linearly implicit BDF for a velocity law, BDF for a given motion."""
+"""One step after the other: the linearly implicit BDF method of [N] (2.19)-(2.21).
+
+In each step the last p values are extrapolated to a surface x~ with functions on it, on which all
+is assembled. Then come, in this order, the fields of the law, its velocity, the positions, and the
+species of the problem, whose mass matrices may therefore be those of the new surface.
+"""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from esfem_core.elements import Assembly, DegenerateElementError, SurfaceSpace, with_data
+from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.elements import ElementError, Surface, SurfaceSpace
+from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
-from esfem_core.solvers import Solver
 from esfem_core.stepping.bdf import combine, delta, extrapolate
+from esfem_core.stepping.guard import Guard
 from esfem_core.stepping.state import EvolutionError, State
+from esfem_core.stepping.systems import GUESS, Systems, stacked
 
-__all__ = ["Perturbation", "march"]
+__all__ = ["Mass", "Perturbation", "Scheme"]
 
-Array = NDArray[np.float64]
-Perturbation = Callable[[int], tuple[Array, Array, Array]]
-GUESS = 5  # values that a first guess is extrapolated from, if there are so many
-
-
-def march(
-    space: SurfaceSpace,
-    problem: Problem,
-    order: int,
-    step: float,
-    states: Sequence[State],
-    times: Iterable[tuple[int, float]],
-    mass: str,
-    *,
-    make_solver: Callable[[], Solver],
-    perturbation: Perturbation | None = None,
-) -> Iterator[State]:
-    """Step from p states through the given (number, time) pairs."""
-    d = delta(order)
-    xs = deque((s.x for s in reversed(states)), maxlen=order)  # newest first
-    us = deque((s.u for s in reversed(states)), maxlen=order)
-    # First guesses for the linear solver are extrapolated from more values than the scheme has.
-    last_us, last_vs = (deque(values, maxlen=max(order, GUESS)) for values in (us, ()))
-    # There is no extrapolation at the first p levels: M(x^j) is taken.
-    Mus = deque((space.mass_times(s.x, s.u) for s in reversed(states)), maxlen=order)
-    u_solver, v_solver = make_solver(), make_solver()
-    normals: Array | None = None
-
-    for n, t in times:
-        with _naming_the_step(n, t):
-            u_tilde, x_past = extrapolate(us), combine(d[1:], xs)
-            r_u, r_v, r_x = (None, None, None) if perturbation is None else perturbation(n)
-            if problem.motion is not None:
-                x_tilde = x = np.array(problem.motion(space.nodes, t), dtype=float)
-                at = space.assemble(x_tilde, None if problem.f is None else u_tilde)
-                v = (d[0] * x + x_past) / step
-            else:
-                x_tilde = extrapolate(xs)
-                at = space.assemble(x_tilde, u_tilde)
-                normals = _turn(at.normals, normals)
-                guess = extrapolate(last_vs) if last_vs else np.zeros_like(x_tilde)
-                if r_x is not None:
-                    x_past = x_past - step * r_x
-                past = x_past / d[0]
-                v = _velocity(space, problem, v_solver, at, t, step / d[0], past, r_v, guess)
-                x = (step * v - x_past) / d[0]
-            M = space.mass_stiffness(x)[0] if mass == "updated" else at.M
-            b = -combine(d[1:], Mus) / step
-            if problem.f is not None:
-                b += space.load_with(at.density, _source(problem.f, "f", at, t))
-            if r_u is not None:
-                b += r_u
-            guess = extrapolate(last_us)
-            u = _diffuse(problem, u_solver, d[0] / step, M, at.A, b, guess)
-            if not (np.isfinite(u).all() and np.isfinite(x).all()):
-                raise FloatingPointError("the solution is not finite")
-            Mus.appendleft(space.mass_times(x, u) if mass == "reassembled" else M @ u)
-        xs.appendleft(x)
-        us.appendleft(u)
-        last_us.appendleft(u)
-        last_vs.appendleft(v)
-        yield State(t, x, v, u)
+Mass = Literal["updated", "extrapolated", "reassembled"]
+Perturbation = Callable[[int], Mapping[str, Array] | tuple[Array, Array, Array]]
+Functions = dict[str, Array]
 
 
-@contextmanager
-def _naming_the_step(n: int, t: float) -> Iterator[None]:
-    """Say in which step and at which time numbers or elements went bad."""
-    try:
-        yield
-    except DegenerateElementError as error:
-        raise EvolutionError(str(error), n, t, error.element) from error
-    except (FloatingPointError, np.linalg.LinAlgError) as error:
-        raise EvolutionError(str(error), n, t) from error
+class History:
+    """The last p levels of positions, functions and products M w, newest first.
 
-
-def _velocity(
-    space: SurfaceSpace,
-    problem: Problem,
-    solver: Solver,
-    at: Assembly,
-    t: float,
-    tau: float,
-    past: Array,
-    extra: Array | None,
-    guess: Array,
-) -> Array:
-    """Solve K v + beta A x = g + extra for v, where x = tau v - past, on the surface `at`.
-
-    These are (2.20) and (2.21), with delta_0 divided out of tau and of the past values. One
-    (N, N) matrix serves the three components. Solving for v and not for x avoids the division of
-    x's rounding errors by tau.
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+    order : int
+        p.
+    states : sequence of p states
+        Oldest first. Where they have no products, there is no extrapolation either: M(x^j) is
+        taken.
     """
-    b = problem.beta * (at.A @ past)
-    if problem.g is not None:
-        g = _source(problem.g, "g", at, t)
-        b += space.load_with(at.density, g[..., None] * at.normals)
-    if extra is not None:
-        b += extra
-    return solver.solve(_sum(1.0, at.M, problem.alpha + problem.beta * tau, at.A), b, guess)
+
+    def __init__(
+        self, space: SurfaceSpace, problem: Problem, order: int, states: Sequence[State]
+    ) -> None:
+        newest_first = list(reversed(states))
+        self.t = newest_first[0].t
+        self.x = deque((s.x for s in newest_first), maxlen=order)
+        self.functions: dict[str, deque[Array]] = {}
+        self.products: dict[str, deque[Array]] = {}
+        # First guesses for the linear solver are extrapolated from more values than the scheme has.
+        self.longer: dict[str, deque[Array]] = {}
+        for name, species in problem.all_species.items():
+            values = [s[name] for s in newest_first]
+            self.functions[name] = deque(values, maxlen=order)
+            self.longer[name] = deque(values, maxlen=max(order, GUESS))
+            if species.conserved:
+                products = (
+                    s.products[name] if name in s.products else space.mass_times(s.x, s[name])
+                    for s in newest_first
+                )
+                self.products[name] = deque(products, maxlen=order)
+
+    def push(self, state: State) -> None:
+        """Add a level; the oldest one goes."""
+        self.t = state.t
+        self.x.appendleft(state.x)
+        for name, w in state.fields.items():
+            self.functions[name].appendleft(w)
+            self.longer[name].appendleft(w)
+        for name, product in state.products.items():
+            self.products[name].appendleft(product)
 
 
-def _diffuse(
-    problem: Problem,
-    solver: Solver,
-    weight: float,
-    M: csr_array,
-    A: csr_array,
-    b: Array,
-    guess: Array,
-) -> Array:
-    """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
-    D = problem.diffusivity
-    if b.ndim == 1 or np.ndim(D) == 0:
-        return solver.solve(_sum(weight, M, float(D), A), b, guess)
-    u = np.empty_like(b)
-    for value in np.unique(D):
-        same = np.broadcast_to(D, b.shape[1:]) == value
-        u[:, same] = solver.solve(_sum(weight, M, value, A), b[:, same], guess[:, same])
-    return u
+@dataclass
+class Scheme:
+    """The method on one space for one problem; its solvers are kept from step to step.
+
+    Attributes
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+    mass : {"updated", "extrapolated", "reassembled"}
+        See :func:`esfem_core.evolve`.
+    systems : Systems
+    perturbation : callable, optional
+    """
+
+    space: SurfaceSpace
+    problem: Problem
+    mass: Mass
+    systems: Systems
+    perturbation: Perturbation | None = None
+    _used: frozenset[tuple[str, str]] = frozenset()
+
+    def steps(
+        self,
+        order: int,
+        step: float,
+        states: Sequence[State],
+        times: Iterable[tuple[int, float]],
+        guard: Guard,
+    ) -> Iterator[State]:
+        """Step from p states through the given (number, time) pairs."""
+        history = History(self.space, self.problem, order, states)
+        normal: Array | None = None
+        for n, t in times:
+            with naming_the_step(n, t):
+                state, normal = self._step(history, delta(order), step, n, t, normal)
+                guard.check_surface(state.x)
+                guard.check_functions(state.x, state.fields)
+            history.push(state)
+            yield state
+
+    def _step(
+        self,
+        history: History,
+        d: Array,
+        step: float,
+        n: int,
+        t: float,
+        normal: Array | None,
+    ) -> tuple[State, Array | None]:
+        """One step; also the normals of its surface, if they were computed."""
+        law, extra = self.problem.law, self._extra(n)
+        fields = {name: extrapolate(values) for name, values in history.functions.items()}
+        x_past = combine(d[1:], history.x)
+        given = None
+        if hasattr(law, "position"):
+            given = law.position(self.space.nodes, t, (history.t, history.x[0]))
+        x_tilde = extrapolate(history.x) if given is None else given
+        at = Surface(self.space, x_tilde, fields, t, expected=self._used)
+        if given is None:
+            normal = _not_turned(at, normal)
+        w = law.slip(at) if hasattr(law, "slip") else None
+
+        levels = _Levels(history, d, step, at, w, extra)
+        functions, products = self._diffuse(law.species, levels, at.M, at.x)
+        if given is None and "x" in extra:
+            x_past = x_past - step * extra["x"]
+        if w is not None:
+            x_past = x_past - step * real_array("the slip", w, x_past.shape)
+        solve = self._law_solver(extra.get("v"))
+        v = law.velocity(at, dict(functions), step / d[0], x_past / d[0], solve)
+        v = finite_array("the velocity of the law", v, at.x.shape)
+        x = (step * v - x_past) / d[0] if given is None else given
+
+        M = self.space.mass(x) if self.mass == "updated" and given is None else at.M
+        more = self._diffuse(self.problem.species, levels, M, x)
+        functions |= more[0]
+        products |= more[1]
+        self._used = self._used | at.used
+        for array in (x, v, *functions.values(), *products.values()):
+            array.setflags(write=False)
+        state = State(t, x, v, space=self.space, fields=functions, products=products)
+        return state, normal
+
+    def _diffuse(
+        self, species: Mapping[str, Species], levels: "_Levels", M: csr_array, x: Array
+    ) -> tuple[Functions, Functions]:
+        """New values and products of some species, solved together where they share a matrix.
+
+        M is the mass matrix of the newest level of conserved species, x the new positions.
+        """
+        at, weight = levels.at, levels.d[0] / levels.step
+        loads: Functions = {}
+        groups: dict[object, list[tuple[str, Part]]] = {}
+        for name, one in species.items():
+            loads[name] = levels.load(name, one)
+            for i, part in enumerate(one.parts(at, loads[name].shape[1:])):
+                key = (one.conserved, part.key) if part.key else (name, i)
+                groups.setdefault(key, []).append((name, part))
+        new = {name: np.empty_like(b) for name, b in loads.items()}
+        for members in groups.values():
+            first = species[members[0][0]]
+            K = members[0][1].operator(weight, M if first.conserved else at.M, at)
+            picked = [(name, (slice(None), *_index(part, loads[name]))) for name, part in members]
+            b, apart = stacked([loads[name][index] for name, index in picked])
+            guess, _ = stacked([levels.guess(name)[index] for name, index in picked])
+            kind = " and ".join(_called(name, part) for name, part in members)
+            for (name, index), w in zip(
+                picked, apart(self.systems.solve(kind, K, b, guess)), strict=True
+            ):
+                new[name][index] = w
+        products = {
+            name: self.space.mass_times(x, new[name])
+            if self.mass == "reassembled" and name in self.problem.species
+            else M @ new[name]
+            for name, one in species.items()
+            if one.conserved
+        }
+        return new, products
+
+    def _law_solver(self, extra: Array | None) -> Callable[[csr_array, Array], Array]:
+        """What a law gets to solve with; its first right-hand side is perturbed by r_v."""
+        count = 0
+
+        def solve(K: csr_array, b: Array) -> Array:
+            nonlocal count
+            count += 1
+            if count == 1 and extra is not None:
+                b = b + extra
+            return self.systems.solve_again(f"law {count}", K, b)
+
+        return solve
+
+    def _extra(self, n: int) -> Mapping[str, Array]:
+        """Perturbations of step n by name."""
+        if self.perturbation is None:
+            return {}
+        given = self.perturbation(n)
+        if not isinstance(given, Mapping):
+            given = dict(zip("uvx", given, strict=True))
+        return given
 
 
-def _sum(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
-    """The matrix a M + b A of two matrices with the same sparsity pattern."""
-    data = a * M.data
-    data += b * A.data
-    return with_data(M, data)
+@dataclass
+class _Levels:
+    """What the equations of all species of a step are made of."""
+
+    history: History
+    d: Array
+    step: float
+    at: Surface
+    slip: Array | None
+    extra: Mapping[str, Array]
+
+    def load(self, name: str, species: Species) -> Array:
+        """Right-hand side of (2.19): past values, sources, perturbation."""
+        if species.conserved:
+            b = -combine(self.d[1:], self.history.products[name]) / self.step
+        else:
+            past: Array = -combine(self.d[1:], self.history.functions[name]) / self.step
+            b = self.at.M @ past
+        source = species.load(name, self.at)
+        if source is not None:
+            b += source
+        if self.slip is not None:
+            b += self._carried(name, species, self.slip)
+        if name in self.extra:
+            b += self.extra[name]
+        return b
+
+    def _carried(self, name: str, species: Species, slip: Array) -> Array:
+        """What nodes that slip with w would carry along: -div(u w) phi, or -(w . grad u) phi."""
+        w = self.at.space.evaluate(slip)
+        u = self.at[name]
+        w = w.reshape(*w.shape[:2], *(1,) * (u.ndim - 2), 3)
+        if species.conserved:
+            return self.at.load(None, flux=-u[..., None] * w)
+        return self.at.load((self.at.grad(name) * w).sum(axis=-1))
+
+    def guess(self, name: str) -> Array:
+        """What the new values will be, about."""
+        return extrapolate(self.history.longer[name])
 
 
-def _source(function: Callable[..., Array], name: str, at: Assembly, t: float) -> Array:
-    """Values of f or g at the quadrature points of a surface."""
-    values = np.asarray(function(at.u, at.grad_u, at.points, t), dtype=float)
-    expected = at.u.shape if name == "f" else at.u.shape[:2]
-    if values.shape != expected:
-        raise ValueError(f"{name} must return an array of shape {expected}, got {values.shape}")
-    finite = np.isfinite(values)
-    if not finite.all():
-        element, point = np.argwhere(~finite)[0, :2].tolist()
-        where = np.array2string(at.points[element, point], precision=4)
-        raise DegenerateElementError(
-            f"{name} returned {values[element, point]} in element {element} at {where}", element
-        )
-    return values
+def _index(part: Part, b: Array) -> tuple[Any, ...]:
+    return () if b.ndim == 1 else (part.components,)
 
 
-def _turn(normals: Array, previous: Array | None) -> Array:
+def _called(name: str, part: Part) -> str:
+    """A name for the components of a part."""
+    if isinstance(part.components, slice):
+        return name
+    return f"{name}[{', '.join(map(str, np.flatnonzero(part.components)))}]"
+
+
+def _not_turned(at: Surface, previous: Array | None) -> Array:
     """Return the normals, unless some element has turned over since the previous step."""
     if previous is not None:
-        turned = np.einsum("tqi,tqi->tq", normals, previous) <= 0
+        turned = np.einsum("tqi,tqi->tq", at.normal, previous) <= 0
         if turned.any():
             element = int(np.argmax(turned.any(axis=1)))
-            raise DegenerateElementError(
+            raise ElementError(
                 f"element {element} has turned over: its normal changed by more than a right "
                 "angle within a step",
                 element,
             )
-    return normals
+    return at.normal
+
+
+@contextmanager
+def naming_the_step(n: int, t: float) -> Iterator[None]:
+    """Say in which step and at which time numbers or elements went bad."""
+    try:
+        yield
+    except ElementError as error:
+        raise EvolutionError(str(error), n, t, error.element) from error
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
+        raise EvolutionError(str(error), n, t) from error

@@ -1,16 +1,18 @@
 """Starting values: exact ones, or of order p by extrapolated Euler steps."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
+from esfem_core.checks import Array, number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
+from esfem_core.stepping.guard import Guard
+from esfem_core.stepping.scheme import Scheme
 from esfem_core.stepping.state import State
+from esfem_core.stepping.times import later
 
-Array = NDArray[np.float64]
-March = Callable[..., Iterator[State]]
+__all__ = ["euler_states", "exact_starts", "exact_state", "initial_state"]
+
+Values = dict[str, Array]
 
 
 def exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
@@ -34,40 +36,83 @@ def exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     >>> state = exact_state(space, ec.problems.expanding_sphere(), 0.5)
     >>> print(f"{np.linalg.norm(state.x, axis=1).max():.2f}")
     1.50
     """
+    t = number("t", t)
     if problem.exact is None:
         raise ValueError("this needs a problem with an exact solution: Problem(..., exact=...)")
-    x = np.array(problem.exact.x(space.nodes, t), dtype=float)
-    v, u = problem.exact.v(space.nodes, t), problem.exact.u(x, t)
-    return State(t, x, np.array(v, dtype=float), np.array(u, dtype=float))
+    x, v, fields = problem.exact.nodal(space.nodes, t)
+    return State(t, x, v, space=space, fields=fields)
 
 
-def euler_states(
-    space: SurfaceSpace, problem: Problem, order: int, step: float, steps: March
-) -> list[State]:
+def exact_starts(space: SurfaceSpace, problem: Problem, order: int, step: float) -> Iterator[State]:
+    """Exact states at 0, step, ..., (order - 1) step, without velocities."""
+    t = 0.0
+    for _ in range(order):
+        state = exact_state(space, problem, t)
+        fields = {name: state[name] for name in problem.all_species}
+        yield State(t, state.x, None, space=space, fields=fields)
+        t = later(t, step)
+
+
+def initial_state(space: SurfaceSpace, problem: Problem) -> State:
+    """The initial values on the initial surface."""
+    fields = problem.initial_values(space.nodes)
+    return State(0.0, space.nodes, None, space=space, fields=fields)
+
+
+def euler_states(scheme: Scheme, order: int, step: float, guard: Guard) -> Iterator[State]:
     """Starting values of order p: Euler with step/1, ..., step/p, extrapolated to step 0.
 
     The error of a one-step method has an expansion in powers of the step. Euler with updated mass
     matrices is one; (2.19), with M(x^{n-1}) in step n but M(x^0) in both step 0 and step 1, is not.
+    Of a conserved species it is the amounts M(x) u that are extrapolated, so that their sum stays
+    what it is.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        With ``mass="updated"``.
+    order : int
+        p.
+    step : float
+    guard : Guard
+
+    Yields
+    ------
+    State
+        At 0, step, ..., (p - 1) step, each when it is known.
     """
-    states = [State(0.0, space.nodes.copy(), None, problem.initial_values(space.nodes))]
+    last = initial_state(scheme.space, scheme.problem)
+    yield last
     for n in range(1, order):
-        last = states[-1]
-        rows: list[tuple[Array, Array]] = []  # Aitken-Neville, one row per number of substeps
+        end = later(last.t, step)
+        rows: list[Values] = []  # Aitken-Neville, one row per number of substeps
         for m in range(1, order + 1):
-            times = ((n, last.t + (i + 1) * step / m) for i in range(m))
-            *_, euler = steps(1, step / m, [last], times, "updated")
-            x, u = euler.x, euler.u
-            row = [(x, u)]
-            for i, (x_old, u_old) in enumerate(rows, start=1):
+            times = ((n, last.t + i * step / m) for i in range(1, m))
+            *_, euler = scheme.steps(1, step / m, [last], (*times, (n, end)), guard)
+            row = [{"x": euler.x, **euler.fields, **euler.products}]
+            for i, old in enumerate(rows, start=1):
                 ratio = m / (m - i) - 1
-                x, u = x + (x - x_old) / ratio, u + (u - u_old) / ratio
-                row.append((x, u))
+                new = row[-1]
+                row.append({key: new[key] + (new[key] - old[key]) / ratio for key in new})
             rows = row
-        states.append(State(n * step, x, None, u))
-    return states
+        last = _state(scheme, end, rows[-1], euler)
+        yield last
+
+
+def _state(scheme: Scheme, t: float, values: Values, near: State) -> State:
+    """The state with these positions and functions, amounts for conserved ones; one is near."""
+    space, x = scheme.space, values["x"]
+    fields, M = {}, None
+    for name, species in scheme.problem.all_species.items():
+        fields[name] = values[name]
+        if species.conserved:
+            M = space.mass(x) if M is None else M
+            fields[name] = scheme.systems.solve("start", M, values[name], near[name])
+    return State(t, x, None, space=space, fields=fields)

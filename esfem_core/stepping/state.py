@@ -1,32 +1,139 @@
 """What a run yields, and how it stops."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
-from esfem_core.checks import Array, finite_array, number
-from esfem_core.elements import SurfaceSpace
+import numpy as np
+
+from esfem_core.checks import Array, finite_array, number, real_array, shown
+from esfem_core.elements import Surface, SurfaceSpace
 
 __all__ = ["EvolutionError", "State", "check_state"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, init=False, eq=False)
 class State:
-    """The discrete solution at one time.
+    """The discrete solution at one time; its arrays are read-only.
 
-    Attributes
+    Parameters
     ----------
     t : float
     x : (N, 3) float array
         Node positions.
-    v : (N, 3) float array or None
-        Nodal velocities, from (2.21); None in the starting states.
-    u : (N,) or (N, m) float array
-        Nodal values of the solution.
+    v : (N, 3) float array, optional
+        Nodal velocities, from (2.21).
+    u : (N,) or (N, m) float array, optional
+        Nodal values of the species "u"; short for an entry of `fields`.
+    space : SurfaceSpace, optional
+    fields : mapping of str to (N, ...) float array, optional
+        Nodal values of all species, and of the fields of the law.
+    products : mapping of str to (N, ...) float array, optional
+        M(x~) w for the conserved fields w, with the mass matrices of the scheme: what a run needs
+        to go on exactly.
+
+    Attributes
+    ----------
+    t, x, v, space, fields, products
+        v is None in starting states, which no step has computed.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    >>> *_, last = ec.evolve(space, ec.problems.growing_sphere(), order=1, step=0.1, end=0.2)
+    >>> last
+    State(t=0.2, nodes=66, fields: u)
+    >>> print(f"{last.surface().integral(1.0) > 4 * np.pi}")
+    True
     """
 
     t: float
     x: Array
     v: Array | None
-    u: Array
+    space: SurfaceSpace | None = None
+    fields: Mapping[str, Array] = field(default_factory=dict)
+    products: Mapping[str, Array] = field(default_factory=dict)
+
+    def __init__(
+        self,
+        t: float,
+        x: Array,
+        v: Array | None = None,
+        u: Array | None = None,
+        *,
+        space: SurfaceSpace | None = None,
+        fields: Mapping[str, Array] | None = None,
+        products: Mapping[str, Array] | None = None,
+    ) -> None:
+        given = dict(fields or {})
+        if u is not None:
+            if "u" in given:
+                raise ValueError("u is given twice: as u and in fields")
+            given["u"] = u
+        values = {
+            "t": number("t", t),
+            "x": _frozen(real_array("x", x, ("N", 3))),
+            "v": None if v is None else _frozen(real_array("v", v, ("N", 3))),
+            "space": space,
+            "fields": MappingProxyType(
+                {name: _frozen(real_array(name, w, ("N", "..."))) for name, w in given.items()}
+            ),
+            "products": MappingProxyType({n: _frozen(w) for n, w in (products or {}).items()}),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.fields) or "none"
+        return f"State(t={self.t:g}, nodes={len(self.x)}, fields: {names})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle without the read-only views of mappings."""
+        return _rebuild, (
+            self.t, self.x, self.v, self.space, dict(self.fields), dict(self.products)
+        )  # fmt: skip
+
+    @property
+    def u(self) -> Array:
+        """Nodal values of the species "u"."""
+        return self["u"]
+
+    def __getitem__(self, name: str) -> Array:
+        """Nodal values of a species or of a field of the law."""
+        try:
+            return self.fields[name]
+        except KeyError:
+            known = ", ".join(map(repr, self.fields)) or "none"
+            raise KeyError(f"the state has no function {name!r}, only {known}") from None
+
+    def surface(self) -> Surface:
+        """Return the surface with all functions on it, for integrals and pictures."""
+        if self.space is None:
+            raise ValueError("this state knows no space: State(..., space=space)")
+        return Surface(self.space, self.x, self.fields, self.t)
+
+
+def _rebuild(
+    t: float,
+    x: Array,
+    v: Array | None,
+    space: SurfaceSpace | None,
+    fields: Mapping[str, Array],
+    products: Mapping[str, Array],
+) -> State:
+    return State(t, x, v, space=space, fields=fields, products=products)
+
+
+def _frozen(values: Array) -> Array:
+    """The array as it is, if nobody can write to it, or else a copy."""
+    array = base = values
+    while isinstance(base.base, np.ndarray) and not base.flags.writeable:
+        base = base.base
+    if base.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
+    return array
 
 
 def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
@@ -42,7 +149,7 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     Raises
     ------
     TypeError
-        If an array does not hold real numbers.
+        If it is no state.
     ValueError
         If an array has not one row for each node of the space, or something is not finite.
 
@@ -55,14 +162,17 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         ...
     ValueError: state.u must have shape (6,) or (6, m), got (5,)
     """
+    if not isinstance(state, State):
+        raise TypeError(f"{name} must be a State, got {shown(state)}")
     n = len(space.nodes)
-    number(f"{name}.t", state.t)
     finite_array(f"{name}.x", state.x, (n, 3))
     if state.v is not None:
         finite_array(f"{name}.v", state.v, (n, 3))
-    u = finite_array(f"{name}.u", state.u, ("N", "..."))
-    if u.ndim > 2 or len(u) != n:
-        raise ValueError(f"{name}.u must have shape ({n},) or ({n}, m), got {u.shape}")
+    for key, values in state.fields.items():
+        called = f"{name}.u" if key == "u" else f"{name}[{key!r}]"
+        w = finite_array(called, values, ("N", "..."))
+        if w.ndim > 2 or len(w) != n:
+            raise ValueError(f"{called} must have shape ({n},) or ({n}, m), got {w.shape}")
 
 
 class EvolutionError(RuntimeError):
@@ -79,5 +189,8 @@ class EvolutionError(RuntimeError):
     """
 
     def __init__(self, reason: str, step: int, t: float, element: int | None = None) -> None:
-        super().__init__(f"step {step}, t = {t:.6g}: {reason}")
-        self.step, self.t, self.element = step, t, element
+        super().__init__(reason, step, t, element)
+        self.reason, self.step, self.t, self.element = reason, step, t, element
+
+    def __str__(self) -> str:
+        return f"step {self.step}, t = {self.t:.6g}: {self.reason}"

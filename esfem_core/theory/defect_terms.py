@@ -7,16 +7,19 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, number, whole_number
 from esfem_core.elements import SurfaceSpace
+from esfem_core.laws import Regularised
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping import bdf, exact_state
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 from esfem_core.theory.defects import (
     NodalValues,
+    constant_diffusivity,
     diffusion,
     exact_values,
     rate_of_mass,
     rate_of_u,
+    regularised_law,
     source_load,
     stretching,
 )
@@ -50,14 +53,15 @@ def temporal_terms_v(
         If a number is out of range, there is no exact solution, or the motion is prescribed.
     """
     order, step = _checked(problem, order, step)
+    law = cast(Regularised, regularised_law(problem))
     now = exact_values(space, problem, t)
     far = _extrapolated(space, problem, order, step, t)
     (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
     on_extrapolated = source_load(space, problem, "g", far.x, now.u, t)
     return {
         "M": Mt @ now.v - M @ now.v,
-        "alpha A": problem.alpha * (At @ now.v - A @ now.v),
-        "beta A": problem.beta * (At @ now.x - A @ now.x),
+        "alpha A": law.alpha * (At @ now.v - A @ now.v),
+        "beta A": law.beta * (At @ now.x - A @ now.x),
         "g, surface": source_load(space, problem, "g", now.x, now.u, t) - on_extrapolated,
         "g, extrapolated u": on_extrapolated - source_load(space, problem, "g", far.x, far.u, t),
     }
@@ -116,7 +120,7 @@ def temporal_terms_u(
 
 
 def _checked(problem: Problem, order: int, step: float) -> tuple[int, float]:
-    if problem.motion is not None:
+    if regularised_law(problem) is None:
         raise ValueError("these terms are those of a velocity law, but the motion is prescribed")
     return whole_number("order", order, 1), number("step", step, above=0)
 
@@ -182,7 +186,8 @@ def spatial_terms_u(
     onto = lift(space, x, field.surface(t))
     y, ratio, u_h = onto.points, onto.ratio, space.evaluate(u)
     tangential = np.eye(3) - onto.normal[..., :, None] * onto.normal[..., None, :]
-    exact_u = cast(Exact, problem.exact).u
+    diffusivity = constant_diffusivity(problem)
+    exact_u = cast(Exact, problem.exact).functions["u"]
 
     def slope(function: Callable[[Array], Array]) -> Array:
         """Ambient derivatives at y, last index."""
@@ -226,7 +231,7 @@ def spatial_terms_u(
         "(6.19)": m((q_lift - ratio * div_v) * u_h),
         "(6.20)": m(ratio * div_v * (u_h - exact)),
         "A, lifted": diffusion(problem, A, u) - diffusion(problem, A_lift, u),
-        "A, interpolated": diffusion(problem, A_lift, u) - problem.diffusivity * a(grad_u),
+        "A, interpolated": diffusion(problem, A_lift, u) - diffusivity * a(grad_u),
         "(6.23)": m(ratio * f) - source_load(space, problem, "f", x, u, t),
         "(6.4), test function": a(exact[..., None] * slip),
     }

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, finite_array, number, one_of, whole_number
-from esfem_core.elements import SurfaceSpace
+from esfem_core.elements import Surface, SurfaceSpace
+from esfem_core.laws import Prescribed, Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
 from esfem_core.stepping import bdf, exact_state
@@ -28,12 +29,14 @@ from esfem_core.theory.forms import divergence
 __all__ = [
     "Defects",
     "NodalValues",
+    "constant_diffusivity",
     "defects",
     "diffusion",
     "dual_norm",
     "exact_values",
     "rate_of_mass",
     "rate_of_u",
+    "regularised_law",
     "source_load",
     "spatial_defects",
     "stretching",
@@ -171,7 +174,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     >>> problem = ec.problems.expanding_sphere()
     >>> def d(n):
     ...     return defects(space, problem, 3, 1 / 20, n)
-    >>> *_, last = ec.evolve(space, problem, 3, 1 / 20, 0.5, solver="direct", perturbation=d)
+    >>> options = {"mass": "extrapolated", "solver": "direct", "perturbation": d}
+    >>> *_, last = ec.evolve(space, problem, 3, 1 / 20, 0.5, **options)
     >>> max(ec.errors.compare(space, problem, last)) < 1e-11
     True
     """
@@ -179,12 +183,13 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     n = whole_number("n", n, 0)
     if n < order:
         raise ValueError(f"n must be at least p = {order}, got {n}")
+    law = regularised_law(problem)
     # Newest first. Extrapolating the positions at level n - p reaches back to n - 2 p.
     exact = [exact_values(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
     now, d, t = exact[0], bdf.delta(order), n * step
 
     def at(j: int) -> Array:  # where the mass matrix of level n - j is taken
-        if problem.motion is not None or n - j < order:
+        if law is None or n - j < order:
             return exact[j].x
         return bdf.extrapolate([s.x for s in exact[j + 1 : j + order + 1]])
 
@@ -193,9 +198,9 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     masses = [space.mass_times(at(j), exact[j].u) for j in range(order + 1)]
     du = bdf.combine(d, masses) / step
     du += diffusion(problem, A, now.u) - source_load(space, problem, "f", x, u, t)
-    if problem.motion is not None:
+    if law is None:
         return Defects(du, np.zeros_like(x), np.zeros_like(x))
-    dv = _velocity_law(space, problem, x, now) - source_load(space, problem, "g", x, u, t)
+    dv = law.residual(Surface(space, x, u, t), now.x, now.v)
     dx = bdf.combine(d, [s.x for s in exact[: order + 1]]) / step - now.v
     return Defects(du, dv, dx)
 
@@ -223,16 +228,13 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     ValueError
         If there is no exact solution.
     """
-    now = exact_values(space, problem, t)
-    x, v, u = now
+    x, v, u = exact_values(space, problem, t)
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
     du += diffusion(problem, A, u) - source_load(space, problem, "f", x, u, t)
-    zero = np.zeros_like(x)
-    if problem.motion is not None:
-        return Defects(du, zero, zero)
-    law = _velocity_law(space, problem, x, now)
-    return Defects(du, law - source_load(space, problem, "g", x, u, t), zero)
+    law, zero = regularised_law(problem), np.zeros_like(x)
+    dv = zero if law is None else law.residual(Surface(space, x, u, t), x, v)
+    return Defects(du, dv, zero)
 
 
 def rate_of_u(space: SurfaceSpace, problem: Problem, t: float) -> Array:
@@ -323,14 +325,39 @@ def diffusion(problem: Problem, A: csr_array, u: Array) -> Array:
     -------
     float array of the shape of u
     """
-    return np.asarray((A @ u) * problem.diffusivity)
+    return np.asarray((A @ u) * constant_diffusivity(problem))
 
 
-def _velocity_law(space: SurfaceSpace, problem: Problem, at: Array, values: NodalValues) -> Array:
-    """K v + beta A x, with matrices on Γ_h[at]."""
-    M, A = space.mass_stiffness(at)
-    x, v, _ = values
-    return np.asarray(M @ v + A @ (problem.alpha * v + problem.beta * x))
+def constant_diffusivity(problem: Problem) -> float | Array:
+    """D of the species "u": a number, or one for each component.
+
+    Raises
+    ------
+    TypeError
+        If it is a function.
+    """
+    D = problem.species["u"].diffusivity
+    if callable(D):
+        raise TypeError("the theory is for constant diffusivities, got a function")
+    return D
+
+
+def regularised_law(problem: Problem) -> Regularised | None:
+    """The law of [N], or None for a prescribed motion, the problem of [LMV].
+
+    Raises
+    ------
+    TypeError
+        For any other law.
+    """
+    if isinstance(problem.law, Prescribed):
+        return None
+    if not isinstance(problem.law, Regularised):
+        raise TypeError(
+            "the theory is for laws.Regularised and laws.Prescribed, got "
+            f"{type(problem.law).__name__}"
+        )
+    return problem.law
 
 
 def source_load(
@@ -366,7 +393,7 @@ def source_load(
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
-    >>> problem = ec.Problem(u0=lambda x: x[:, 0], f=lambda u, grad_u, x, t: t * u)
+    >>> problem = ec.Problem(u0=lambda x: x[:, 0], f=lambda at: at.t * at.u)
     >>> b = source_load(space, problem, "f", space.nodes, space.nodes[:, 0], 2.0)
     >>> expected = 2 * space.mass_times(space.nodes, space.nodes[:, 0])
     >>> bool(np.allclose(b, expected, rtol=0, atol=1e-15))
@@ -375,11 +402,10 @@ def source_load(
     one_of("name", name, ("f", "g"))
     x = finite_array("x", x, space.nodes.shape)
     u = finite_array("u", u, (len(space.nodes), "..."))
-    function = problem.f if name == "f" else problem.g
-    if function is None:
-        return np.zeros_like(u if name == "f" else x)
-    at = space.assemble(x, u)
-    shape = at.u.shape if name == "f" else at.u.shape[:2]
-    returned = function(at.u, at.grad_u, at.points, t)
-    values = finite_array(f"what {name} returns", returned, shape)
-    return space.load_with(at.density, values if name == "f" else values[..., None] * at.normals)
+    at = Surface(space, x, u, t)
+    if name == "f":
+        load, zero = problem.species["u"].load("u", at), np.zeros_like(u)
+    else:
+        law, zero = regularised_law(problem), np.zeros_like(x)
+        load = None if law is None else law.load(at)
+    return zero if load is None else load

@@ -83,7 +83,15 @@ def response(
         return rest[0], rest[1], rest[2]
 
     run = evolve(
-        space, problem, order, step, end, start=states, solver="direct", perturbation=perturbation
+        space,
+        problem,
+        order,
+        step,
+        end,
+        mass="extrapolated",
+        start=states,
+        solver="direct",
+        perturbation=perturbation,
     )
     return ((state, exact_state(space, problem, state.t)) for state in run)
 

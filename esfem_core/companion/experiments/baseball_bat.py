@@ -1,7 +1,7 @@
 """[LMV] Section 6, Example 2: the baseball bat, its Figure 4 and what surrounds it."""
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 from typing import Any
@@ -50,11 +50,17 @@ def exact(space: ec.SurfaceSpace, times: Sequence[float]) -> list[Array]:
     return [u(space.nodes) for u in _profiles(tuple(times))]
 
 
+def _motion() -> Callable[[Array, float], Array]:
+    """(6.2) of [LMV]."""
+    law = ec.problems.baseball_bat().law
+    assert isinstance(law, ec.laws.Prescribed)
+    assert law.motion is not None
+    return law.motion
+
+
 @lru_cache
 def _profiles(times: tuple[float, ...]) -> list[Any]:
-    motion = ec.problems.baseball_bat().motion
-    assert motion is not None
-    return cosine_mode(motion, lambda a: np.cos(a) * np.sin(a), times, degree=28)
+    return cosine_mode(_motion(), lambda a: np.cos(a) * np.sin(a), times, degree=28)
 
 
 def small_steps(
@@ -67,10 +73,8 @@ def small_steps(
 
 def reference_at(space: ec.SurfaceSpace, results: Mapping[str, Any], t: float) -> ec.State:
     """The reference at a time that :func:`figure_4` was asked to keep."""
-    motion = ec.problems.baseball_bat().motion
-    assert motion is not None
     u = np.array(results[f"u_{t:g}"]) * UNIT * results[f"max_{t:g}"]
-    return ec.State(t, motion(space.nodes, t), None, u)
+    return ec.State(t, _motion()(space.nodes, t), None, u)
 
 
 def large_steps(

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import esfem_core as ec
 from esfem_core.checks import one_of
 from esfem_core.companion.campaign import Experiment
+from esfem_core.problems import Evaluation, Solution
 from esfem_core.surfaces import bisected_sphere
 
 __all__ = ["EXPERIMENTS", "chain", "compute", "settled"]
@@ -22,10 +23,10 @@ HALVINGS = tuple(2**i for i in range(2, 10))  # tau from 1/4 to 1/512
 
 def compute(
     *,
-    solution: str,
+    solution: Solution,
     degree: int,
     refinements: int,
-    evaluation: str,
+    evaluation: Evaluation,
     order: int,
     steps_per_unit: int,
     window: Sequence[float],

@@ -1,7 +1,7 @@
 """[N] 7.3 and 7.4: the expanding sphere, Figures 1 to 4, and how far Theorem 2.1 reaches."""
 
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -10,6 +10,7 @@ import esfem_core as ec
 from esfem_core.checks import Array, one_of
 from esfem_core.companion.campaign import Experiment
 from esfem_core.companion.experiments.theorem import Norms, left_hand_sides
+from esfem_core.problems import Coupling
 from esfem_core.stepping import exact_state
 
 __all__ = ["EXPERIMENTS", "errors_at_end", "lifted_sides", "make_space", "time_errors"]
@@ -69,7 +70,7 @@ def errors_at_end(
     degree: int,
     order: int,
     step: float,
-    coupling: str = "smooth",
+    coupling: Coupling = "smooth",
     angle: float = 0.0,
 ) -> dict[str, float]:
     """Errors at T = 1 of one run with exact starting values.
@@ -102,7 +103,7 @@ def errors_at_end(
     out = {"nodes": len(space.nodes), "h": float(space.mesh_size(space.nodes))}
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            last = ec.study.final(ec.evolve(space, problem, order, step, END))
+            last = ec.study.final(ec.evolve(space, problem, order, step, END, mass="extrapolated"))
     except ec.EvolutionError as stop:
         fields = ec.errors.Errors._fields
         names = [*fields, *(f"{q}_lifted" for q in fields), "slope"]
@@ -149,7 +150,7 @@ def lifted_sides(
         return Norms(float(x), float(v), e.u_l2, e.u_l2**2 + e.u_h1**2)
 
     every = max(1, round(1 / (SAMPLES * step)))
-    run = ec.evolve(space, problem, order, step, END)
+    run = ec.evolve(space, problem, order, step, END, mass="extrapolated")
     return {
         "nodes": len(space.nodes),
         "h": float(space.mesh_size(space.nodes)),
@@ -189,13 +190,14 @@ def time_errors(
     2.0
     """
     space, problem = make_space(mesh, refinements, degree), ec.problems.expanding_sphere()
-    states = list(ec.evolve(space, problem, 5, fine, END, start="euler", solver="direct"))
+    options: dict[str, Any] = {"mass": "extrapolated", "solver": "direct"}
+    states = list(ec.evolve(space, problem, 5, fine, END, start="euler", **options))
     out: dict[str, list[float]] = {}
     for p, steps in runs:
         for step in steps:
             k = round(step / fine)
             start = states[: p * k : k]
-            run = ec.evolve(space, problem, p, step, END, start=start, solver="direct")
+            run = ec.evolve(space, problem, p, step, END, start=start, **options)
             last = ec.study.final(run)
             for q, e in ec.errors.difference(space, last, states[-1])._asdict().items():
                 out.setdefault(f"p{p}_{q}", []).append(e)

@@ -11,10 +11,11 @@ from scipy.sparse import csr_array
 import esfem_core as ec
 from esfem_core.checks import Array, one_of, whole_number
 from esfem_core.companion.campaign import Experiment
-from esfem_core.stepping import MASSES, exact_state
+from esfem_core.stepping import Mass, exact_state
 
 __all__ = ["EXPERIMENTS", "SURFACES", "compare_masses", "orders"]
 
+MASSES: tuple[Mass, ...] = ("extrapolated", "reassembled", "updated")
 TIMES = (0.5, 1.0)
 AXES = np.array([1.0, 0.8, 0.6])  # of the ellipsoid
 
@@ -117,7 +118,7 @@ def _ellipsoid_mesh() -> ec.SurfaceSpace:
 
 def _ellipsoid() -> ec.Problem:
     """An ellipsoid that grows by what it carries, more at one end; f = 0."""
-    return ec.Problem(u0=lambda x: 3 + x[:, 0] + x[:, 1] * x[:, 2], g=lambda u, grad_u, x, t: u)
+    return ec.Problem(u0=lambda x: 3 + x[:, 0] + x[:, 1] * x[:, 2], g=lambda at: at.u)
 
 
 def _sphere_mesh() -> ec.SurfaceSpace:
@@ -177,7 +178,9 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
         raise ValueError(f"steps_per_unit must divide fine = {fine}, got {list(steps_per_unit)}")
     make_problem, make_space, begin, end = SURFACES[surface]
     problem, space = make_problem(), make_space()
-    past = ec.evolve(space, problem, 5, 1 / fine, end, start="euler", solver="direct")
+    past = ec.evolve(
+        space, problem, 5, 1 / fine, end, mass="extrapolated", start="euler", solver="direct"
+    )
     states = [ec.State(s.t - begin, s.x, s.v, s.u) for s in islice(past, round(begin * fine), None)]
 
     def amount(state: ec.State) -> float:
@@ -200,7 +203,7 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
             last = ec.study.final(run)
             e = ec.errors.difference(space, last, states[-1])
             row = {"u": e.u_l2, "u_h1": e.u_h1, "x": e.x_l2}
-            if problem.f is None:
+            if problem.species["u"].source is None:
                 row["amount"] = amount(last) / amount(states[0]) - 1
             for name, value in row.items():
                 results.setdefault(f"{mass}_{name}", []).append(value)

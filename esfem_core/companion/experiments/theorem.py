@@ -118,7 +118,7 @@ def nodal_sides(
             u_squared=seminorm(K, e_u) ** 2,
         )
 
-    run = ec.evolve(space, problem, order, step, end)
+    run = ec.evolve(space, problem, order, step, end, mass="extrapolated")
     return {"h": space.mesh_size(space.nodes), **left_hand_sides(run, norms, step, end)}
 
 

@@ -1,0 +1,70 @@
+"""How a surface moves: the fields that a law carries, and its formula for the velocity."""
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from scipy.sparse import csr_array
+
+from esfem_core.checks import Array
+from esfem_core.elements import Surface
+from esfem_core.laws.species import Species
+
+__all__ = ["Law", "Solve"]
+
+Solve = Callable[[csr_array, Array], Array]
+
+
+class Law(Protocol):
+    """What a time scheme asks of a velocity law.
+
+    A class of one's own needs `species` and `velocity`; the rest may be left out, or be inherited
+    from this class.
+
+    Attributes
+    ----------
+    species : mapping of str to Species
+        Functions that the law needs beside those of the problem, solved for before the velocity.
+    """
+
+    @property
+    def species(self) -> Mapping[str, Species]:
+        """Functions that the law needs."""
+        return {}
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        """Return v^n of (2.20), implicit in the position x^n = tau v^n - past of (2.21).
+
+        Parameters
+        ----------
+        at : Surface
+            The extrapolated surface Γ_h[x~^n], with the extrapolated functions of the problem and
+            of the law.
+        new : mapping of str to (N, ...) float array
+            The law's own functions at t_n.
+        tau : float
+            step / delta_0.
+        past : (N, 3) float array
+            sum_{j>=1} delta_j x^{n-j} / delta_0.
+        solve : callable
+            ``solve(K, b)`` solves K w = b with the run's solver, for K symmetric positive definite,
+            such as ``at.matrix(mass=1.0, stiffness=2.0)``, and b of shape (N,) or (N, m).
+
+        Returns
+        -------
+        (N, 3) float array
+        """
+        ...
+
+    def slip(self, at: Surface) -> Array | None:
+        """Tangential velocity of the nodes against the particles of the surface, (N, 3), or None.
+
+        The nodes then move with v + w. What they would carry along is corrected for in every
+        species, and `past` contains -tau w.
+        """
+        return None
+
+    # A law that knows the positions has a further method,
+    #     position(nodes, t, before) -> (N, 3),
+    # and (2.20) is then assembled on them and not on an extrapolated surface: see `Prescribed`.

@@ -1,0 +1,102 @@
+"""A given motion, as in [LMV]."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from esfem_core.checks import Array, real_array, shown
+from esfem_core.elements import Surface
+from esfem_core.laws.law import Law, Solve
+
+__all__ = ["Prescribed"]
+
+FLOW: dict[str, Any] = {"method": "DOP853", "rtol": 1e-12}  # of a velocity field
+ATOL = 1e-14  # relative to the size of the surface
+
+
+class Prescribed(Law):
+    """The nodes move as a given flow takes them: by positions or by a velocity field.
+
+    Parameters
+    ----------
+    motion : callable
+        X(p, t): positions at time t, (N, 3), of the points p, (N, 3), of the initial surface, with
+        X(p, 0) = p.
+    velocity : callable
+        v(x, t): velocities, (N, 3), at points x, (N, 3). Its flow is integrated from step to step
+        by a Runge-Kutta method of order eight to a relative accuracy of 1e-12.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If not exactly one of them is given, or it is no function.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    >>> spin = ec.laws.Prescribed(velocity=lambda x, t: np.cross([0, 0, 1], x))
+    >>> problem = ec.Problem(species={"u": ec.Species(lambda x: x[:, 0])}, law=spin)
+    >>> *_, last = ec.evolve(space, problem, order=2, step=np.pi / 40, end=np.pi / 2)
+    >>> bool(np.allclose(last.x[:, 1], space.nodes[:, 0], atol=1e-10))
+    True
+    """
+
+    def __init__(
+        self,
+        motion: Callable[[Array, float], Array] | None = None,
+        velocity: Callable[[Array, float], Array] | None = None,
+    ) -> None:
+        if (motion is None) == (velocity is None):
+            raise ValueError("exactly one of motion and velocity must be given")
+        for name, value in (("motion", motion), ("velocity", velocity)):
+            if value is not None and not callable(value):
+                raise TypeError(f"{name} must be a function or None, got {shown(value)}")
+        self.motion, self.field = motion, velocity
+
+    def __repr__(self) -> str:
+        kind = "motion" if self.motion is not None else "velocity"
+        return f"Prescribed({kind}=...)"
+
+    def position(self, nodes: Array, t: float, before: tuple[float, Array]) -> Array:
+        """Positions at time t of the nodes.
+
+        Parameters
+        ----------
+        nodes : (N, 3) float array
+            On the initial surface.
+        t : float
+        before : (float, (N, 3) float array)
+            A time and the positions then.
+
+        Returns
+        -------
+        (N, 3) float array
+        """
+        if self.motion is not None:
+            return np.array(real_array("motion(p, t)", self.motion(nodes.copy(), t), nodes.shape))
+        start, x = before
+        if t == start:
+            return np.array(x)
+        field = self.field
+        assert field is not None
+
+        def rate(time: float, flat: Array) -> Array:
+            v = field(flat.reshape(nodes.shape), time)
+            return real_array("velocity(x, t)", v, nodes.shape).ravel()
+
+        size = float(np.abs(x).max())
+        flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
+        if not flow.success:
+            raise FloatingPointError(f"the velocity cannot be integrated: {flow.message}")
+        moved: Array = flow.y[:, -1].reshape(nodes.shape)
+        return moved
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        """The difference quotient of the given positions, so that x = tau v - past."""
+        quotient: Array = (at.x + past) / tau
+        return quotient

@@ -1,0 +1,73 @@
+"""The regularised velocity law of [N]."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from esfem_core.checks import Array, number, shown
+from esfem_core.elements import Surface
+from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.values import values_at
+
+__all__ = ["Regularised"]
+
+
+@dataclass(frozen=True)
+class Regularised(Law):
+    r"""v - alpha lap v + beta H nu = g nu, [N] (2.8).
+
+    H is the sum of the principal curvatures, positive on a sphere, and nu the outward unit normal.
+    In space, with K = M + alpha A, it is K v + beta A x = g, [N] (2.20).
+
+    Parameters
+    ----------
+    alpha, beta : float
+        Regularisation alpha >= 0 and weight beta >= 0 of mean curvature. alpha = 0 with beta > 0 is
+        Dziuk's scheme for mean curvature flow, outside the theorem of [N]: with elements of degree
+        2 or more it loses two orders except on spheres.
+    g : callable, optional
+        ``g(at)`` on a :class:`esfem_core.Surface`: (T, Q), the speed along the normal, or
+        (T, Q, 3), a force with a direction of its own. None is zero.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range or g no function.
+    """
+
+    alpha: float = 1.0
+    beta: float = 1.0
+    g: Callable[[Surface], Array] | None = None
+
+    def __post_init__(self) -> None:
+        number("alpha", self.alpha, least=0)
+        number("beta", self.beta, least=0)
+        if self.g is not None and not callable(self.g):
+            raise TypeError(f"g must be a function of a Surface or None, got {shown(self.g)}")
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        """Solve K v + beta A x = g for v, where x = tau v - past.
+
+        One (N, N) matrix serves the three components. Solving for v and not for x avoids the
+        division of x's rounding errors by tau.
+        """
+        b = self.beta * (at.A @ past)
+        force = self.load(at)
+        if force is not None:
+            b += force
+        return solve(at.matrix(1.0, self.alpha + self.beta * tau), b)
+
+    def load(self, at: Surface) -> Array | None:
+        """Load vector of g nu, (N, 3); None if g is zero."""
+        if self.g is None:
+            return None
+        g = values_at("g", self.g(at), at, [(), (3,)])
+        return at.load(g[..., None] * at.normal if g.ndim == 2 else g)
+
+    def residual(self, at: Surface, x: Array, v: Array) -> Array:
+        """K v + beta A x - g with matrices and g on the surface `at`, (N, 3): zero in (2.20)."""
+        rest = at.M @ v + at.A @ (self.alpha * v + self.beta * x)
+        force = self.load(at)
+        result: Array = rest if force is None else rest - force
+        return result

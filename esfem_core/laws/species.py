@@ -1,0 +1,222 @@
+"""What diffuses on the surface, and is carried with it: one equation of [N] (2.7) each."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+
+from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.elements import NotFiniteError, Surface, combination
+from esfem_core.laws.values import values_at
+
+__all__ = ["Part", "Species"]
+
+NEGATIVE = 1e-12  # eigenvalues of diffusion tensors this far below zero, relatively, are rounding
+
+
+class Part(NamedTuple):
+    """Components of a species that have one operator.
+
+    Attributes
+    ----------
+    components : slice or (m,) bool array
+        Which ones, of the trailing index of u.
+    diffusivity, rate : float, or (T, Q) or (T, Q, 3, 3) float array
+    """
+
+    components: Any
+    diffusivity: Any
+    rate: Any
+
+    def operator(self, weight: float, M: csr_array, at: Surface) -> csr_array:
+        """Weight M + (stiffness matrix of the diffusivity) + (mass matrix of the rate).
+
+        The last two on the surface `at`; M may belong to another one.
+        """
+        if np.ndim(self.diffusivity) == 0 and np.ndim(self.rate) == 0:
+            K = combination(weight, M, self.diffusivity, at.A)
+            return K if self.rate == 0 else combination(1.0, K, self.rate, at.M)
+        rest = at.matrix(self.rate, self.diffusivity)
+        return combination(weight, M, 1.0, rest)
+
+    @property
+    def key(self) -> tuple[object, object] | None:
+        """Equal for parts with equal operators; None if the operator is one of its own."""
+        constant = np.ndim(self.diffusivity) == 0 and np.ndim(self.rate) == 0
+        return (float(self.diffusivity), float(self.rate)) if constant else None
+
+
+@dataclass(frozen=True, eq=False)
+class Species:
+    r"""A substance that diffuses on the surface and is carried with it.
+
+    It solves, with u' the material derivative::
+
+        u' + u div v - div(D grad u) + rate u = source - div(flux)
+
+    weakly, tested with phi::
+
+        d/dt int u phi + int D grad u . grad phi + rate u phi = int source phi + flux . grad phi
+
+    which for D = 1 without rate and flux is [N] (2.7) and [LMV] (2.1). In time, D, rate, source and
+    flux are those of the extrapolated surface and functions; u itself is implicit, so that a large
+    rate needs no small step, while a source -k u is stable for k tau < 2, 4/3, 20/21 (p = 1, 2, 3)
+    only.
+
+    Parameters
+    ----------
+    initial : callable, array or float
+        Initial values: of points (N, 3), returning (N,) or (N, m); or the nodal values; or a
+        constant.
+    source : callable, optional
+        ``source(at)`` on a :class:`esfem_core.Surface`: values of the shape of u there, (T, Q) or
+        (T, Q, m); or a pair (values, flux), values possibly None, flux (T, Q, 3) or (T, Q, m, 3),
+        of which the tangential part counts. None is zero.
+    rate : float or callable, optional
+        Not negative, taken implicitly: a number, or ``rate(at)`` of shape (T, Q). None is zero.
+    diffusivity : float, (m,) array or callable
+        D >= 0: a number, one for each component, or ``diffusivity(at)`` of shape (T, Q), or
+        (T, Q, 3, 3), symmetric and positive semidefinite on the tangent planes.
+    conserved : bool
+        If False, the equation has no u div v: for quantities like a temperature of its own, or a
+        normal vector, that are carried, but not diluted.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range or no function where one is needed.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> ec.Species(1.0, source=lambda at: -at.u, diffusivity=0.1).conserved
+    True
+    """
+
+    initial: Callable[[Array], ArrayLike] | ArrayLike
+    source: Callable[[Surface], Any] | None = None
+    rate: float | Callable[[Surface], Array] | None = None
+    diffusivity: float | Array | Callable[[Surface], Array] = 1.0
+    conserved: bool = True
+
+    def __post_init__(self) -> None:
+        if self.source is not None and not callable(self.source):
+            raise TypeError(f"source must be a function of a Surface, got {shown(self.source)}")
+        if self.rate is not None and not callable(self.rate):
+            number("rate", self.rate, least=0)
+        if not callable(self.diffusivity):
+            if np.ndim(self.diffusivity) == 0:
+                number("diffusivity", self.diffusivity, least=0)
+            else:
+                values = finite_array("diffusivity", self.diffusivity, ("m",))
+                if len(values) == 0 or values.min() < 0:
+                    raise ValueError(
+                        "diffusivity must hold a number >= 0 for each component, got "
+                        f"{values.tolist()}"
+                    )
+        if not isinstance(self.conserved, bool | np.bool_):
+            raise TypeError(f"conserved must be True or False, got {shown(self.conserved)}")
+
+    def initial_values(self, x: Array, name: str = "initial") -> Array:
+        """Nodal values at the nodes x, (N, 3), at the start.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        name : str
+            What messages call them.
+
+        Returns
+        -------
+        (N,) or (N, m) float array
+
+        Raises
+        ------
+        ValueError, TypeError
+            If they are not real, finite or not one row for each node, or if D has another number of
+            components.
+        """
+        values: Any = self.initial(x.copy()) if callable(self.initial) else self.initial
+        if np.ndim(values) == 0:
+            values = np.full(len(x), number(name, values))
+        if np.ndim(values) > 2 or len(values) != len(x) or np.size(values) == 0:
+            raise ValueError(
+                f"{name} must give a number or one row for each of {len(x)} nodes, shape "
+                f"({len(x)},) or ({len(x)}, m); got {np.shape(values)}"
+            )
+        u = np.array(finite_array(name, values, np.shape(values)))
+        D: Any = self.diffusivity
+        if np.ndim(D) == 1 and np.shape(D) != u.shape[1:]:
+            raise ValueError(
+                f"diffusivity has shape {np.shape(D)}, but {name} has "
+                f"{u.shape[1:] or 'one component, (N,)'}"
+            )
+        return u
+
+    def parts(self, at: Surface, trailing: tuple[int, ...]) -> list[Part]:
+        """The components in groups of equal diffusivity; `trailing` is the shape of u at a node."""
+        rate = self._coefficient("rate", 0.0 if self.rate is None else self.rate, at, [()])
+        D = self.diffusivity
+        if callable(D):
+            D = self._coefficient("diffusivity", D, at, [(), (3, 3)])
+            if D.ndim == 4:
+                _check_definite(D, at)
+        elif np.ndim(D) == 1:
+            return [Part(np.equal(D, value), float(value), rate) for value in np.unique(D)]
+        return [Part(slice(None), D, rate)]
+
+    def load(self, name: str, at: Surface) -> Array | None:
+        """Load vector of source and flux, (N, ...); None if there is no source."""
+        if self.source is None:
+            return None
+        returned = self.source(at)
+        trailing = at.fields[name].shape[1:]
+        called = f"the source{' f' if name == 'u' else ''} of {name!r}"
+        flux = None
+        if isinstance(returned, tuple):
+            if len(returned) != 2:
+                raise ValueError(
+                    f"{called} must return values or a pair (values, flux), got "
+                    f"{len(returned)} of them"
+                )
+            returned, flux = returned
+            if flux is not None:
+                flux = values_at(f"{called} (flux)", flux, at, [(*trailing, 3)])
+        if returned is not None:
+            returned = values_at(called, returned, at, [trailing])
+        elif flux is None:
+            return None
+        return at.load(returned, flux)
+
+    @staticmethod
+    def _coefficient(
+        name: str, given: Any, at: Surface, trailing: Sequence[tuple[int, ...]]
+    ) -> Any:
+        if not callable(given):
+            return given
+        values = values_at(name, given(at), at, trailing)
+        if values.ndim == 2 and values.min() < 0:
+            element, point = np.argwhere(values < 0)[0].tolist()
+            raise NotFiniteError(
+                f"{name} must not be negative, got {values[element, point]:.6g} in element "
+                f"{element}",
+                element,
+            )
+        return values
+
+
+def _check_definite(D: Array, at: Surface) -> None:
+    """Diffusion tensors must not have a negative eigenvalue on the tangent plane."""
+    P = np.eye(3) - at.normal[..., :, None] * at.normal[..., None, :]
+    lowest = np.linalg.eigvalsh(P @ D @ P)[..., 0]
+    bad = lowest < -NEGATIVE * np.abs(D).max()
+    if bad.any():
+        element = int(np.argmax(bad.any(axis=1)))
+        raise NotFiniteError(
+            "diffusivity must be positive semidefinite on the tangent planes, but has the "
+            f"eigenvalue {lowest[element].min():.6g} in element {element}",
+            element,
+        )

@@ -1,0 +1,56 @@
+"""What users' functions of a surface return, checked before anything is computed from it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from esfem_core.checks import Array, real_array
+from esfem_core.elements import NotFiniteError, Surface
+
+__all__ = ["Function", "values_at"]
+
+Function = Callable[[Surface], Array]
+
+
+def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[int, ...]]) -> Array:
+    """Values at the quadrature points of a surface.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls the function.
+    returned : array_like
+    at : Surface
+    trailing : sequence of tuples of int
+        The shapes that may follow (T, Q); a number is taken as a constant of the first.
+
+    Returns
+    -------
+    (T, Q, ...) float array
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shape is another, or the values are not real.
+    NotFiniteError
+        If a value is not finite; it says where.
+    """
+    points = at.density.shape
+    if np.ndim(returned) == 0 and np.isscalar(returned):
+        returned = np.full((*points, *trailing[0]), returned)
+    shapes = [(*points, *shape) for shape in trailing]
+    if np.shape(returned) not in shapes:
+        allowed = " or ".join(map(str, shapes))
+        raise ValueError(
+            f"{name} must return an array of shape {allowed}, got {np.shape(returned)}"
+        )
+    values = real_array(f"what {name} returns", returned, np.shape(returned))
+    finite = np.isfinite(values)
+    if not finite.all():
+        element, point = np.argwhere(~finite)[0, :2].tolist()
+        where = np.array2string(at.points[element, point], precision=4)
+        raise NotFiniteError(
+            f"{name} returned {values[element, point]} in element {element} at {where}", element
+        )
+    return values

@@ -1,0 +1,161 @@
+"""A wrong state is never yielded as good: what is looked at in every step."""
+
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from esfem_core.checks import Array, Ints
+from esfem_core.elements import DegenerateElementError, SurfaceSpace
+
+__all__ = ["EvolutionWarning", "Guard"]
+
+DEGENERATE = 1e-8  # smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral
+NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
+GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
+
+
+class EvolutionWarning(UserWarning):
+    """A run goes where it will probably not survive."""
+
+
+class Guard:
+    """Looks at the triangles between the corners of the elements, and at the size of functions.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) float array
+        Positions at the start.
+    fields : mapping of str to (N, ...) float array
+        Functions at the start.
+    growth : float
+        Factor by which the largest value of a function may grow.
+    """
+
+    def __init__(
+        self, space: SurfaceSpace, x: Array, fields: Mapping[str, Array], growth: float
+    ) -> None:
+        self._corners = np.ascontiguousarray(space.cells[:, :3].T)
+        self._component = _components(self._corners, len(space.nodes))
+        self._growth = growth
+        self._size = {name: float(np.abs(w).max()) for name, w in fields.items()}
+        self._warned: set[str] = set()
+        self._normal, volume, shape = self._triangles(x)
+        self._inside_out = volume < 0  # cavities
+        self._narrow = min(NARROW, 0.5 * float(shape.min()))
+
+    def check_surface(self, x: Array) -> None:
+        """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
+
+        Raises
+        ------
+        DegenerateElementError
+        """
+        normal, volume, shape = self._triangles(x)
+        lowest = int(np.argmin(shape))
+        if not shape[lowest] > DEGENERATE:
+            what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
+            raise DegenerateElementError(
+                f"element {lowest} near {self._place(x, lowest)} {what}", lowest
+            )
+        turn = _dot(normal, self._normal)
+        if not turn.min() > 0:
+            element = int(np.argmin(turn))
+            raise DegenerateElementError(
+                f"element {element} near {self._place(x, element)} has turned over: its normal "
+                "changed by more than a right angle within a step",
+                element,
+            )
+        inside_out = volume < 0
+        if (inside_out != self._inside_out).any():
+            component = int(np.argmax(inside_out != self._inside_out))
+            element = int(np.argmax(self._component == component))
+            which = f"component {component} of the surface" if len(volume) > 1 else "the surface"
+            raise DegenerateElementError(
+                f"{which} is inside out (enclosed volume {volume[component]:.3g}), near "
+                f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
+                element,
+            )
+        if shape[lowest] < self._narrow:
+            self._warn_once(
+                "angles",
+                f"element {lowest} near {self._place(x, lowest)} has an angle below one degree: "
+                "the run will hardly survive; other triangles, a smaller step, or alpha > 0 may "
+                "help",
+            )
+        self._normal = normal
+
+    def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
+        """Refuse functions that are not finite or have grown beyond all bounds.
+
+        Raises
+        ------
+        FloatingPointError
+        """
+        for name, w in fields.items():
+            largest = float(max(w.max(), -w.min()))
+            if not np.isfinite(largest):
+                node = int(np.argmin(np.isfinite(w).reshape(len(w), -1).all(axis=1)))
+                raise FloatingPointError(
+                    f"{name} is not finite at node {node} near {_rounded(x[node])}"
+                )
+            start = self._size.get(name) or largest
+            self._size[name] = start
+            if largest <= GROWTH * start:
+                continue
+            node = int(np.argmax(np.abs(w).reshape(len(w), -1).max(axis=1)))
+            text = (
+                f"{name} has grown to {largest:.3g}, {largest / start:.1g} times its largest value "
+                f"at the start, at node {node} near {_rounded(x[node])}: the step is too large "
+                "for an explicit source, or the solution blows up"
+            )
+            if largest > self._growth * start:
+                raise FloatingPointError(f"{text} (allowed: growth = {self._growth:g} times)")
+            self._warn_once(name, text)
+
+    def _triangles(self, x: Array) -> tuple[Array, Array, Array]:
+        """Normals (3, T) of twice the triangle's area, volumes of components, shapes (T,)."""
+        origin = x[0]
+        a, b, c = (x.T - origin[:, None]).take(self._corners, axis=1).swapaxes(0, 1)
+        p, q = b - a, c - a
+        normal = np.empty_like(p)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(p[j], q[k], out=normal[i])
+            normal[i] -= p[k] * q[j]
+        volume = np.bincount(self._component, _dot(a, normal)) / 6
+        sides = 2 * (_dot(p, p) + _dot(q, q) - _dot(p, q))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shape = 2 * np.sqrt(3) * np.sqrt(_dot(normal, normal)) / sides
+        return normal, volume, shape
+
+    def _place(self, x: Array, element: int) -> str:
+        return _rounded(x[self._corners[:, element]].mean(axis=0))
+
+    def _warn_once(self, kind: str, text: str) -> None:
+        if kind not in self._warned:
+            self._warned.add(kind)
+            warnings.warn(text, EvolutionWarning, stacklevel=2)
+
+
+def _components(corners: Ints, n_nodes: int) -> Ints:
+    """Which component of the surface each element belongs to, (T,)."""
+    links = corners[[0, 1, 1, 2]].reshape(2, 2, -1)
+    graph = coo_array(
+        (np.ones(links[:, 0].size), (links[:, 0].ravel(), links[:, 1].ravel())), (n_nodes, n_nodes)
+    )
+    label = connected_components(graph, directed=False)[1]
+    return np.unique(label[corners[0]], return_inverse=True)[1].astype(np.int64)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    out: Array = a[0] * b[0]
+    out += a[1] * b[1]
+    out += a[2] * b[2]
+    return out
+
+
+def _rounded(point: Array) -> str:
+    return np.array2string(point, precision=4)

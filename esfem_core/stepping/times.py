@@ -1,0 +1,56 @@
+"""Times of the steps, the same however often a run is interrupted."""
+
+from fractions import Fraction
+
+from esfem_core.checks import number
+
+__all__ = ["count_steps", "later"]
+
+LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
+TOLERANCE = 1e-9
+
+
+def later(t: float, step: float) -> float:
+    """The time a step after t, rounded once from the fractions that both numbers stand for.
+
+    0.1 means 1/10: so times are the nearest numbers to n/10 from wherever one counts, and a run
+    that goes on from a state in the middle sees the same times as one in one go.
+
+    Examples
+    --------
+    >>> 0.1 + 0.1 + 0.1, later(later(0.1, 0.1), 0.1)
+    (0.30000000000000004, 0.3)
+    """
+    return float(_meant(t) + _meant(step))
+
+
+def _meant(value: float) -> Fraction:
+    simple = Fraction(value).limit_denominator(LARGEST)
+    return simple if float(simple) == value else Fraction(value)
+
+
+def count_steps(start: float, step: float, end: float) -> int:
+    """Number of steps from start to end.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a number is not finite, the step is not positive, the end before the start, or the number
+        of steps not an integer to 1e-9.
+
+    Examples
+    --------
+    >>> count_steps(0.0, 1 / 40, 1.0)
+    40
+    """
+    step, end = number("step", step, above=0), number("end", end)
+    quotient = (end - start) / step
+    if not quotient < 2.0**53:
+        raise ValueError(f"step is too small: end/step is {quotient:.3g}, got step = {step!r}")
+    n_steps = round(quotient)
+    if n_steps < 0:
+        raise ValueError(f"end must not be before the start at t = {start!r}, got {end!r}")
+    if abs(quotient - n_steps) > TOLERANCE * max(1, n_steps):
+        between = f"({end!r} - {start!r})/{step!r}" if start else f"{end!r}/{step!r}"
+        raise ValueError(f"end/step must be an integer, got {between} = {quotient!r}")
+    return n_steps
