@@ -21,7 +21,7 @@ from esfem_core.elements.scatter import NodalSum, SparsePattern
 from esfem_core.solvers import Fronts, dissect
 from esfem_core.surfaces import check_triangulation
 
-__all__ = ["SurfaceSpace"]
+__all__ = ["Assembly", "SurfaceSpace"]
 
 Array = NDArray[np.float64]
 

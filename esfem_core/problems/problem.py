@@ -43,7 +43,7 @@ class Exact(NamedTuple):
 class Problem:
     r"""Diffusion on a surface whose velocity is given by a law or prescribed.
 
-    The equation on the surface is [N] (2.7), the regularised velocity law [N] (2.8):
+    The equation on the surface is [N] (2.7), the regularised velocity law [N] (2.8)::
 
         u' + u div v - D lap u = f(u, grad u, x, t)
         v - alpha lap v + beta H nu = g(u, grad u, x, t) nu

@@ -16,10 +16,11 @@ from esfem_core.stepping.scheme import Perturbation, march
 from esfem_core.stepping.start import euler_states, exact_state
 from esfem_core.stepping.state import State
 
-__all__ = ["evolve"]
+__all__ = ["MASSES", "evolve"]
 
 Array = NDArray[np.float64]
 MASSES = ("extrapolated", "reassembled", "updated")
+"""Where the mass matrices are taken, see :func:`evolve`."""
 SOLVERS = ("lagged", "cholmod", "direct")
 
 
@@ -39,7 +40,7 @@ def evolve(
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
     For the coupled system, [N] (2.19)-(2.21): with the extrapolations
-    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise,
+    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise::
 
         (1/tau) sum_j delta_j M(x~^{n-j}) u^{n-j} + A(x~^n) u^n = f(x~^n, u~^n)
         K(x~^n) v^n + beta A(x~^n) x^n = g(x~^n, u~^n),     K = M + alpha A

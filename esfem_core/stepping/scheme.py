@@ -18,6 +18,7 @@ __all__ = ["Perturbation", "march"]
 
 Array = NDArray[np.float64]
 Perturbation = Callable[[int], tuple[Array, Array, Array]]
+"""What is added to (2.19), (2.20) and (2.21) in step n: nodal vectors r_u, r_v, r_x."""
 GUESS = 5  # values that a first guess is extrapolated from, if there are so many
 
 
@@ -33,7 +34,7 @@ def march(
     make_solver: Callable[[], Solver],
     perturbation: Perturbation | None = None,
 ) -> Iterator[State]:
-    """Step from p states through the given (number, time) pairs."""
+    """Step from p states through the given (number, time) pairs: [N] (2.19)-(2.21), [LMV] (3.1)."""
     d = delta(order)
     xs = deque((s.x for s in reversed(states)), maxlen=order)  # newest first
     us = deque((s.u for s in reversed(states)), maxlen=order)
@@ -104,7 +105,7 @@ def _velocity(
 ) -> Array:
     """Solve K v + beta A x = g + extra for v, where x = tau v - past, on the surface `at`.
 
-    These are (2.20) and (2.21), with delta_0 divided out of tau and of the past values. One
+    These are [N] (2.20) and (2.21), with delta_0 divided out of tau and of the past values. One
     (N, N) matrix serves the three components. Solving for v and not for x avoids the division of
     x's rounding errors by tau.
     """
@@ -126,7 +127,7 @@ def _diffuse(
     b: Array,
     guess: Array,
 ) -> Array:
-    """Solve (weight M + D A) u = b, for all components of equal diffusivity D at once."""
+    """Solve [N] (2.19), (weight M + D A) u = b, together for components of equal D."""
     D = problem.diffusivity
     if b.ndim == 1 or np.ndim(D) == 0:
         return solver.solve(_sum(weight, M, float(D), A), b, guess)

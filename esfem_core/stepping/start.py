@@ -9,6 +9,8 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.state import State
 
+__all__ = ["euler_states", "exact_state"]
+
 Array = NDArray[np.float64]
 March = Callable[..., Iterator[State]]
 
