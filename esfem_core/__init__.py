@@ -12,6 +12,7 @@ from esfem_core.stepping import (
     Statistics,
     bdf,
     evolve,
+    measure,
 )
 from esfem_core.surfaces import (
     MeshingError,
@@ -52,6 +53,7 @@ __all__ = [
     "forms",
     "from_level_set",
     "laws",
+    "measure",
     "mesh_quality",
     "multipliers",
     "peano",

@@ -17,8 +17,8 @@ Solve = Callable[[csr_array, Array], Array]
 class Law(Protocol):
     """What a time scheme asks of a velocity law.
 
-    A class of one's own needs `species` and `velocity`; the rest may be left out, or be inherited
-    from this class.
+    A class of one's own needs `velocity`; the rest may be left out, or be inherited from this
+    class.
 
     Attributes
     ----------

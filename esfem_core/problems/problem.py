@@ -192,9 +192,15 @@ class Problem:
         object.__setattr__(self, "exact", exact)
 
     @property
+    def law_species(self) -> Mapping[str, Species]:
+        """The functions that the law carries; a law of one's own need not say that it has none."""
+        carried: Mapping[str, Species] = getattr(self.law, "species", {})
+        return carried
+
+    @property
     def all_species(self) -> dict[str, Species]:
         """Those of the law, then those of the problem."""
-        return {**self.law.species, **self.species}
+        return {**self.law_species, **self.species}
 
     def initial_values(self, x: Array) -> dict[str, Array]:
         """Nodal values of all species at the nodes x, (N, 3), at the start."""
@@ -219,16 +225,16 @@ def _function(name: str, value: object) -> None:
 
 
 def _check_names(species: Mapping[str, Species], law: Law) -> None:
-    if not (hasattr(law, "species") and callable(getattr(law, "velocity", None))):
+    if not callable(getattr(law, "velocity", None)):
         raise TypeError(
-            f"law must have species and velocity, see esfem_core.laws.Law; got {shown(law)}"
+            f"law must have a method velocity, see esfem_core.laws.Law; got {shown(law)}"
         )
     for name, one in species.items():
         if not isinstance(name, str) or name in RESERVED:
             raise ValueError(f"a species must have a name other than x and v, got {name!r}")
         if not isinstance(one, Species):
             raise TypeError(f"species[{name!r}] must be a Species, got {shown(one)}")
-        if name in law.species:
+        if name in getattr(law, "species", {}):
             raise ValueError(
                 f"the law has a function {name!r} of its own: give the species another name"
             )

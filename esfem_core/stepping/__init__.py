@@ -2,6 +2,7 @@
 
 from esfem_core.stepping import bdf
 from esfem_core.stepping.guard import EvolutionWarning
+from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Mass, Perturbation
 from esfem_core.stepping.start import exact_state
@@ -13,6 +14,7 @@ __all__ = [
     "EvolutionError",
     "EvolutionWarning",
     "Mass",
+    "Measures",
     "Perturbation",
     "State",
     "Statistics",
@@ -20,4 +22,5 @@ __all__ = [
     "check_state",
     "evolve",
     "exact_state",
+    "measure",
 ]

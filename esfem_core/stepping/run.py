@@ -74,8 +74,9 @@ def evolve(
         Where the mass matrices of the species are taken; no difference for a prescribed motion,
         and the functions that a law carries always have those of (2.19).
         "updated": at x^n on every level, known before u^n is; of order p. It keeps the amount
-        1' M(x^n) u^n, and its errors were a third to a half smaller than those of (2.19) wherever
-        the surface moves with u, for 5 to 10 % more time.
+        1' M(x^n) u^n of the surface itself. On six problems its temporal errors were 0.07 to 1
+        times those of (2.19) in x and 0.2 to 1.1 times in u for p = 1; for p >= 2 neither is
+        better on the whole (medians of 30 ratios 0.99 and 0.98).
         "extrapolated": at x~^{n-j} on every level, which is (2.19), of order p. It keeps the amount
         1' M(x~^n) u^n.
         "reassembled": at x~^n on the newest level and at the solution x^{n-j} on the others, which

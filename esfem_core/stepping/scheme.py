@@ -139,7 +139,7 @@ class Scheme:
         w = law.slip(at) if hasattr(law, "slip") else None
 
         levels = _Levels(history, d, step, at, w, extra)
-        functions, products = self._diffuse(law.species, levels, at.M, at.x)
+        functions, products = self._diffuse(self.problem.law_species, levels, at.M, at.x)
         if given is None and "x" in extra:
             x_past = x_past - step * extra["x"]
         if w is not None:
