@@ -13,7 +13,8 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf8"))
+PROJECT, SETUPTOOLS = PYPROJECT["project"], PYPROJECT["tool"]["setuptools"]
 
 
 def pins(lines):
@@ -69,6 +70,15 @@ def test_the_lock_is_closed(lock):
 def test_the_core_needs_three_packages_only():
     names = {canonicalize_name(Requirement(r).name) for r in PROJECT["dependencies"]}
     assert names == {"numpy", "scipy", "trimesh"}
+
+
+def test_every_file_of_the_package_is_installed():
+    patterns = SETUPTOOLS["package-data"]["esfem_core"]
+    package = ROOT / "esfem_core"
+    installed = {path for pattern in patterns for path in package.glob(pattern)}
+    others = {p for p in package.rglob("*.*") if p.is_file() and p.suffix not in (".py", ".pyc")}
+    assert any(path.suffix == ".jsonl" for path in others)
+    assert others <= installed
 
 
 def test_one_version_everywhere():

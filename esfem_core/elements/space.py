@@ -285,7 +285,7 @@ class SurfaceSpace:
         return self.sum_loads(self.tables.tests @ (density * by_point), values.shape[2:])
 
     def sum_loads(self, entries: Array, trailing: tuple[int, ...]) -> Array:
-        """Sum element entries (m, n, T) into nodal vectors (N, *trailing)."""
+        """Sum element entries (m, n, T) into nodal vectors (N, ...)."""
         return self._sum(entries).reshape(-1, *trailing)
 
     def evaluate(self, u: Array) -> Array:
@@ -395,6 +395,6 @@ class SurfaceSpace:
 
     @staticmethod
     def points_first(values: Array, trailing: tuple[int, ...]) -> Array:
-        """Turn (m, Q, T) into (T, Q, *trailing)."""
+        """Turn (m, Q, T) into (T, Q, ...)."""
         _, n_points, n_cells = values.shape
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)

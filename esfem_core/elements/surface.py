@@ -39,7 +39,7 @@ class Surface:
     t : float
         The time.
     expected : set, optional
-        What will be asked for, as :attr:`used` of another surface says it.
+        What will be asked for, as ``used`` of another surface says it.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ class Law(Protocol):
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:
-        """Return v^n of (2.20), implicit in the position x^n = tau v^n - past of (2.21).
+        """Return v^n of [N] (2.20), implicit in the position x^n = tau v^n - past of (2.21).
 
         Parameters
         ----------

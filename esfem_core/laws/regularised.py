@@ -47,7 +47,7 @@ class Regularised(Law):
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:
-        """Solve K v + beta A x = g for v, where x = tau v - past.
+        """Solve K v + beta A x = g, [N] (2.20), for v, where x = tau v - past.
 
         One (N, N) matrix serves the three components. Solving for v and not for x avoids the
         division of x's rounding errors by tau.

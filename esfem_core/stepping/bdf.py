@@ -16,7 +16,7 @@ __all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
 
 
 def delta(p: int) -> Array:
-    """Coefficients of the p-step backward difference formula.
+    """Coefficients of the p-step backward difference formula ([N] (2.22), [LMV] (3.2)).
 
     delta(z) = sum_{j=0..p} delta_j z^j = sum_{l=1..p} (1 - z)^l / l, so that
     (1/tau) sum_j delta_j y(t - j tau) = y'(t) + O(tau^p). Summed in exact rationals.
@@ -45,7 +45,7 @@ def delta(p: int) -> Array:
 
 
 def gamma(p: int) -> Array:
-    """Coefficients of extrapolation from the p last values.
+    """Coefficients of extrapolation from the p last values ([N] (2.22)).
 
     gamma(z) = sum_{j=0..p-1} gamma_j z^j = (1 - (1 - z)^p)/z, so that
     sum_j gamma_j y(t - (j+1) tau) = y(t) + O(tau^p).
@@ -84,12 +84,12 @@ def delta_exact(p: int) -> list[Fraction]:
 
 
 def extrapolate(values: Sequence[Array]) -> Array:
-    """Extrapolate equidistant values, newest first, to the next: sum_j gamma_j values[j].
+    """Extrapolate equidistant values to the next, sum_j gamma_j values[j] ([N] (2.18)).
 
     Parameters
     ----------
     values : sequence of arrays of one shape
-        p of them: the polynomial through them has degree p - 1.
+        p of them, newest first: the polynomial through them has degree p - 1.
 
     Returns
     -------

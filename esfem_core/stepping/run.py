@@ -46,7 +46,7 @@ def evolve(
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
     For the coupled system, [N] (2.19)-(2.21): with the extrapolations
-    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise,
+    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise::
 
         (1/tau) sum_j delta_j M(x~^{n-j}) u^{n-j} + A(x~^n) u^n = f(x~^n, u~^n)
         K(x~^n) v^n + beta A(x~^n) x^n = g(x~^n, u~^n),     K = M + alpha A

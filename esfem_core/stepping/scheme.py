@@ -125,7 +125,7 @@ class Scheme:
         t: float,
         normal: Array | None,
     ) -> tuple[State, Array | None]:
-        """One step; also the normals of its surface, if they were computed."""
+        """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
         law, extra = self.problem.law, self._extra(n)
         fields = {name: extrapolate(values) for name, values in history.functions.items()}
         x_past = combine(d[1:], history.x)
@@ -230,7 +230,7 @@ class _Levels:
     extra: Mapping[str, Array]
 
     def load(self, name: str, species: Species) -> Array:
-        """Right-hand side of (2.19): past values, sources, perturbation."""
+        """Right-hand side of [N] (2.19): past values, sources, perturbation."""
         if species.conserved:
             b = -combine(self.d[1:], self.history.products[name]) / self.step
         else:
