@@ -14,6 +14,7 @@ __all__ = ["EvolutionWarning", "Guard"]
 
 DEGENERATE = 1e-8  # smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral
 NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
+SHAPE = 2 * np.sqrt(3)  # makes the shape of an equilateral triangle 1
 GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
 
 
@@ -40,12 +41,13 @@ class Guard:
     ) -> None:
         self._corners = np.ascontiguousarray(space.cells[:, :3].T)
         self._component = _components(self._corners, len(space.nodes))
+        self._several = bool(self._component.any())
         self._growth = growth
         self._size = {name: float(np.abs(w).max()) for name, w in fields.items()}
         self._warned: set[str] = set()
-        self._normal, volume, shape = self._triangles(x)
+        self._normal, volume, sides = self._triangles(x)
         self._inside_out = volume < 0  # cavities
-        self._narrow = min(NARROW, 0.5 * float(shape.min()))
+        self._narrow = min(NARROW, 0.5 * float(_shapes(self._normal, sides).min()))
 
     def check_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
@@ -54,13 +56,12 @@ class Guard:
         ------
         DegenerateElementError
         """
-        normal, volume, shape = self._triangles(x)
-        lowest = int(np.argmin(shape))
-        if not shape[lowest] > DEGENERATE:
-            what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
-            raise DegenerateElementError(
-                f"element {lowest} near {self._place(x, lowest)} {what}", lowest
-            )
+        normal, volume, sides = self._triangles(x)
+        # One comparison for all; only where it fails, triangle by triangle.
+        bound = (self._narrow / SHAPE) * sides
+        bound *= bound
+        if not (_dot(normal, normal) > bound).all():
+            self._look_closer(x, _shapes(normal, sides))
         turn = _dot(normal, self._normal)
         if not turn.min() > 0:
             element = int(np.argmin(turn))
@@ -79,14 +80,20 @@ class Guard:
                 f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
                 element,
             )
-        if shape[lowest] < self._narrow:
-            self._warn_once(
-                "angles",
-                f"element {lowest} near {self._place(x, lowest)} has an angle below one degree: "
-                "the run will hardly survive; other triangles, a smaller step, or alpha > 0 may "
-                "help",
-            )
         self._normal = normal
+
+    def _look_closer(self, x: Array, shape: Array) -> None:
+        """Refuse a degenerate triangle, warn of a narrow one."""
+        lowest = int(np.argmin(shape))
+        place = f"element {lowest} near {self._place(x, lowest)}"
+        if not shape[lowest] > DEGENERATE:
+            what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
+            raise DegenerateElementError(f"{place} {what}", lowest)
+        self._warn_once(
+            "angles",
+            f"{place} has an angle below one degree: the run will hardly survive; other "
+            "triangles, a smaller step, or alpha > 0 may help",
+        )
 
     def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
         """Refuse functions that are not finite or have grown beyond all bounds.
@@ -110,14 +117,14 @@ class Guard:
             text = (
                 f"{name} has grown to {largest:.3g}, {largest / start:.1g} times its largest value "
                 f"at the start, at node {node} near {_rounded(x[node])}: the step is too large "
-                "for an explicit source, or the solution blows up"
+                "for what is explicit, or the solution blows up"
             )
             if largest > self._growth * start:
                 raise FloatingPointError(f"{text} (allowed: growth = {self._growth:g} times)")
             self._warn_once(name, text)
 
     def _triangles(self, x: Array) -> tuple[Array, Array, Array]:
-        """Normals (3, T) of twice the triangle's area, volumes of components, shapes (T,)."""
+        """Normals of twice the area, (3, T), volumes of components, sums of squared sides, (T,)."""
         origin = x[0]
         a, b, c = (x.T - origin[:, None]).take(self._corners, axis=1).swapaxes(0, 1)
         p, q = b - a, c - a
@@ -125,11 +132,13 @@ class Guard:
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             np.multiply(p[j], q[k], out=normal[i])
             normal[i] -= p[k] * q[j]
-        volume = np.bincount(self._component, _dot(a, normal)) / 6
+        products = _dot(a, normal)
+        if self._several:
+            volume = np.bincount(self._component, products) / 6
+        else:
+            volume = np.array([products.sum() / 6])
         sides = 2 * (_dot(p, p) + _dot(q, q) - _dot(p, q))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shape = 2 * np.sqrt(3) * np.sqrt(_dot(normal, normal)) / sides
-        return normal, volume, shape
+        return normal, volume, sides
 
     def _place(self, x: Array, element: int) -> str:
         return _rounded(x[self._corners[:, element]].mean(axis=0))
@@ -137,7 +146,7 @@ class Guard:
     def _warn_once(self, kind: str, text: str) -> None:
         if kind not in self._warned:
             self._warned.add(kind)
-            warnings.warn(text, EvolutionWarning, stacklevel=2)
+            warnings.warn(text, EvolutionWarning, stacklevel=5)  # the loop over the run
 
 
 def _components(corners: Ints, n_nodes: int) -> Ints:
@@ -155,6 +164,13 @@ def _dot(a: Array, b: Array) -> Array:
     out += a[1] * b[1]
     out += a[2] * b[2]
     return out
+
+
+def _shapes(normal: Array, sides: Array) -> Array:
+    """4 sqrt(3) area / (sum of squared sides), (T,)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shape: Array = SHAPE * np.sqrt(_dot(normal, normal)) / sides
+    return shape
 
 
 def _rounded(point: Array) -> str:

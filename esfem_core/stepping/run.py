@@ -108,7 +108,7 @@ def evolve(
         a prescribed motion, r_v and r_x do not count.
     growth : float
         How much larger than at the start the values of a function may become before the run stops
-        with an error; at a factor of 1e6 it warns.
+        with an error, or infinity; at a factor of 1e6 it warns.
     statistics : Statistics, optional
         Collects what the linear solvers do, to be read while the run goes on.
 
@@ -151,7 +151,8 @@ def evolve(
         raise TypeError(f"problem must be a Problem, got {shown(problem)}")
     order = _checked_order(order, allow_unstable)
     one_of("mass", mass, Mass)
-    number("growth", growth, above=1)
+    if growth != np.inf:
+        number("growth", growth, above=1)
     make_solver = _solver_factory(space, solver)
     given = _checked_start(space, problem, start, order, step)
     n_steps = _steps_after_start(given, order, step, end)
