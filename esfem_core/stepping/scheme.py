@@ -20,7 +20,7 @@ from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.guard import Guard
-from esfem_core.stepping.state import EvolutionError, State
+from esfem_core.stepping.state import EvolutionError, Method, State
 from esfem_core.stepping.systems import GUESS, Systems, stacked
 
 __all__ = ["Mass", "Perturbation", "Scheme"]
@@ -37,16 +37,17 @@ class History:
     ----------
     space : SurfaceSpace
     problem : Problem
-    order : int
-        p.
+    method : (str, int, float)
+        Mass, order p and step.
     states : sequence of p states
-        Oldest first. Where they have no products, there is no extrapolation either: M(x^j) is
-        taken.
+        Oldest first. Where they have no products of this method, there is no extrapolation either:
+        M(x^j) is taken.
     """
 
     def __init__(
-        self, space: SurfaceSpace, problem: Problem, order: int, states: Sequence[State]
+        self, space: SurfaceSpace, problem: Problem, method: Method, states: Sequence[State]
     ) -> None:
+        _, order, _ = method
         newest_first = list(reversed(states))
         self.t = newest_first[0].t
         self.x = deque((s.x for s in newest_first), maxlen=order)
@@ -60,7 +61,9 @@ class History:
             self.longer[name] = deque(values, maxlen=max(order, GUESS))
             if species.conserved:
                 products = (
-                    s.products[name] if name in s.products else space.mass_times(s.x, s[name])
+                    s.products[name]
+                    if s.method == method and name in s.products
+                    else space.mass_times(s.x, s[name])
                     for s in newest_first
                 )
                 self.products[name] = deque(products, maxlen=order)
@@ -106,26 +109,23 @@ class Scheme:
         guard: Guard,
     ) -> Iterator[State]:
         """Step from p states through the given (number, time) pairs."""
-        history = History(self.space, self.problem, order, states)
+        method = (self.mass, order, step)
+        history = History(self.space, self.problem, method, states)
         normal: Array | None = None
         for n, t in times:
             with naming_the_step(n, t):
-                state, normal = self._step(history, delta(order), step, n, t, normal)
+                state, normal = self._step(history, method, n, t, normal)
                 guard.check_surface(state.x)
                 guard.check_functions(state.x, state.fields)
             history.push(state)
             yield state
 
     def _step(
-        self,
-        history: History,
-        d: Array,
-        step: float,
-        n: int,
-        t: float,
-        normal: Array | None,
+        self, history: History, method: Method, n: int, t: float, normal: Array | None
     ) -> tuple[State, Array | None]:
         """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
+        _, order, step = method
+        d = delta(order)
         law, extra = self.problem.law, self._extra(n)
         fields = {name: extrapolate(values) for name, values in history.functions.items()}
         x_past = combine(d[1:], history.x)
@@ -156,7 +156,7 @@ class Scheme:
         self._used = self._used | at.used
         for array in (x, v, *functions.values(), *products.values()):
             array.setflags(write=False)
-        state = State(t, x, v, space=self.space, fields=functions, products=products)
+        state = State(t, x, v, space=self.space, fields=functions, products=products, method=method)
         return state, normal
 
     def _diffuse(

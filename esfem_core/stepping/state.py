@@ -12,6 +12,9 @@ from esfem_core.elements import Surface, SurfaceSpace
 __all__ = ["EvolutionError", "State", "check_state"]
 
 
+Method = tuple[str, int, float]
+
+
 @dataclass(frozen=True, init=False, eq=False)
 class State:
     """The discrete solution at one time; its arrays are read-only.
@@ -31,10 +34,12 @@ class State:
     products : mapping of str to (N, ...) float array, optional
         M(x~) w for the conserved fields w, with the mass matrices of the scheme: what a run needs
         to go on exactly.
+    method : (str, int, float), optional
+        The scheme that `products` belong to: mass, order and step. Another one makes its own.
 
     Attributes
     ----------
-    t, x, v, space, fields, products
+    t, x, v, space, fields, products, method
         v is None in starting states, which no step has computed.
 
     Examples
@@ -54,6 +59,7 @@ class State:
     space: SurfaceSpace | None = None
     fields: Mapping[str, Array] = field(default_factory=dict)
     products: Mapping[str, Array] = field(default_factory=dict)
+    method: Method | None = None
 
     def __init__(
         self,
@@ -65,6 +71,7 @@ class State:
         space: SurfaceSpace | None = None,
         fields: Mapping[str, Array] | None = None,
         products: Mapping[str, Array] | None = None,
+        method: Method | None = None,
     ) -> None:
         given = dict(fields or {})
         if u is not None:
@@ -80,6 +87,7 @@ class State:
                 {name: _frozen(real_array(name, w, ("N", "..."))) for name, w in given.items()}
             ),
             "products": MappingProxyType({n: _frozen(w) for n, w in (products or {}).items()}),
+            "method": method,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -90,9 +98,8 @@ class State:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle without the read-only views of mappings."""
-        return _rebuild, (
-            self.t, self.x, self.v, self.space, dict(self.fields), dict(self.products)
-        )  # fmt: skip
+        mappings = dict(self.fields), dict(self.products)
+        return _rebuild, (self.t, self.x, self.v, self.space, *mappings, self.method)
 
     @property
     def u(self) -> Array:
@@ -121,8 +128,9 @@ def _rebuild(
     space: SurfaceSpace | None,
     fields: Mapping[str, Array],
     products: Mapping[str, Array],
+    method: Method | None,
 ) -> State:
-    return State(t, x, v, space=space, fields=fields, products=products)
+    return State(t, x, v, space=space, fields=fields, products=products, method=method)
 
 
 def _frozen(values: Array) -> Array:
