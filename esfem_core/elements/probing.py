@@ -1,0 +1,289 @@
+"""Closest points of a discrete surface, and values of finite element functions there."""
+
+from collections.abc import Iterator
+from itertools import chain
+from math import factorial
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from esfem_core.checks import Array, Ints, finite_array
+from esfem_core.elements.lagrange import node_indices, tabulate
+from esfem_core.elements.numbering import flat_triangles
+
+__all__ = ["ClosestPoints", "closest_points", "probe"]
+
+CHUNK = 50_000  # pairs of a point and a piece that are treated at once
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
+
+
+class Elements(Protocol):
+    """What is used of a :class:`esfem_core.SurfaceSpace`."""
+
+    degree: int
+    nodes: Array
+    cells: Ints
+
+
+class ClosestPoints(NamedTuple):
+    """Points of Γ_h[x] that are closest to n given ones.
+
+    Attributes
+    ----------
+    cell : (n,) int array
+        Elements that they lie in.
+    local : (n, 2) float array
+        Reference coordinates (xi, eta) there.
+    points : (n, 3) float array
+    distance : (n,) float array
+        From the given points.
+    """
+
+    cell: Ints
+    local: Array
+    points: Array
+    distance: Array
+
+
+def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestPoints:
+    """Find the points of Γ_h[x] that are closest to given ones.
+
+    On each element that could hold the closest point, ``|Phi(xi) - p|^2`` is minimised over the
+    reference triangle by Newton's method. No element is left out that could be closer: each is
+    divided into k² pieces, and a piece lies in the convex hull of its Bézier points. In each
+    piece that remains four descents start, at its corners and its centre. They find its closest
+    point, unless it is crumpled so much that the distance has further minima between them.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) array_like of float
+        Node positions.
+    points : (n, 3) array_like of float
+        Anywhere; n may be 0.
+
+    Returns
+    -------
+    ClosestPoints
+        Where there are several, one of them; on an edge or a corner, the element with the
+        smallest number.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong shape or is not real and finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> found = closest_points(space, space.nodes, [[0.0, 0.0, 3.0], [3.0, 4.0, 0.0]])
+    >>> found.points.round(2) + 0.0
+    array([[0. , 0. , 1. ],
+           [0.6, 0.8, 0. ]])
+    >>> found.distance.round(2)
+    array([2., 4.])
+    """
+    x = finite_array("x", x, (len(space.nodes), 3))
+    points = finite_array("points", points, ("n", 3))
+    degree, nodes = space.degree, x[space.cells]
+    pieces = _divide(degree, nodes)
+    per_cell = len(pieces.starts)
+
+    def descend(point: Ints, piece: Ints) -> tuple[Ints, Ints, Array, Array]:
+        start = pieces.starts[piece % per_cell].reshape(-1, 2)
+        point, piece = np.repeat(point, 4), np.repeat(piece, 4)
+        relative = nodes[piece // per_cell] - points[point, None]
+        return point, piece, *_minimise(degree, relative, start)
+
+    nearest = np.asarray(cKDTree(pieces.centre).query(points)[1], dtype=np.int64)
+    rows = [descend(np.arange(len(points)), nearest)]
+    bound = rows[0][3].reshape(-1, 4).min(axis=1)
+    rows += [descend(*pair) for pair in _candidates(pieces, points, bound)]
+    point, piece, local, distance = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    found = np.einsum("na,nai->ni", tabulate(degree, local).values, nodes[piece // per_cell])
+
+    # The closest of each point; then, of all that are the same point, the smallest element.
+    order = np.lexsort((piece, distance, point))
+    best = order[np.unique(point[order], return_index=True)[1]][point]
+    gap = np.linalg.norm(found - found[best], axis=1)
+    same = np.flatnonzero(gap <= 1e-12 * pieces.radius[piece[best]])
+    order = same[np.lexsort((distance[same], piece[same] // per_cell, point[same]))]
+    chosen = order[np.unique(point[order], return_index=True)[1]]
+    return ClosestPoints(piece[chosen] // per_cell, local[chosen], found[chosen], distance[chosen])
+
+
+def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Array:
+    """Values of a finite element function at the points of Γ_h[x] closest to given ones.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    x : (N, 3) array_like of float
+        Node positions.
+    u : (N, ...) array_like of float
+        Nodal values.
+    points : (n, 3) array_like of float
+        Anywhere; n may be 0.
+
+    Returns
+    -------
+    (n, ...) float array
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong shape or is not real and finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> x = space.nodes
+    >>> probe(space, x, x[:, 0] * x[:, 1], [[0.3, 0.4, 0.0], [3.0, 4.0, 0.0]]).round(4)
+    array([0.48, 0.48])
+    """
+    u = finite_array("u", u, (len(space.nodes), "..."))
+    at = closest_points(space, x, points)
+    values = tabulate(space.degree, at.local).values
+    found: Array = np.einsum("na,na...->n...", values, u[space.cells[at.cell]])
+    return found
+
+
+class _Pieces(NamedTuple):
+    """The surface in small pieces, those of an element in succession."""
+
+    starts: Array  # (k², 4, 2), their corners and centres in the reference triangle
+    centre: Array  # (k² T, 3), on the surface
+    bezier: Array  # (k² T, (k+1)(k+2)/2, 3), Bézier points as seen from there
+    radius: Array  # (k² T,), of the ball around the centre that holds them
+
+
+def _divide(degree: int, nodes: Array) -> _Pieces:
+    """Pieces of elements with nodes (T, (k+1)(k+2)/2, 3)."""
+    indices = node_indices(degree)
+    lattice = indices / degree
+    orders = np.array([factorial(i) for i in range(degree + 1)])[indices].prod(axis=1)
+    bernstein = factorial(degree) / orders * (lattice[:, None] ** indices).prod(axis=2)
+    # Bézier points take the values at a piece's own lattice when weighted by Bernstein polynomials.
+    corners = lattice[flat_triangles(np.arange(len(lattice))[None], degree), 1:]  # (k², 3, 2)
+    values = tabulate(degree, (lattice @ corners).reshape(-1, 2)).values
+    bezier = np.linalg.solve(bernstein, values.reshape(len(corners), *bernstein.shape))
+    centres = corners.mean(axis=1)
+    at_centre = tabulate(degree, centres).values
+    relative = ((bezier - at_centre[:, None]) @ nodes[:, None]).reshape(-1, len(lattice), 3)
+    radius = np.linalg.norm(relative, axis=2).max(axis=1)
+    starts = np.concatenate([corners, centres[:, None]], axis=1)
+    return _Pieces(starts, (at_centre @ nodes).reshape(-1, 3), relative, radius)
+
+
+def _candidates(pieces: _Pieces, points: Array, bound: Array) -> Iterator[tuple[Ints, Ints]]:
+    """Pairs of a point and a piece that may come closer than a bound, chunk by chunk."""
+    octave = np.frexp(pieces.radius)[1]  # so that one large piece does not blow up all balls
+    for members in (np.flatnonzero(octave == i) for i in np.unique(octave)):
+        tree = cKDTree(pieces.centre[members])
+        reach = (bound + pieces.radius[members].max()) * (1 + 1e-12)
+        count = tree.query_ball_point(points, reach, return_length=True)
+        ends = np.flatnonzero(np.diff(np.cumsum(count) // CHUNK)) + 1
+        for part in np.split(np.arange(len(points)), ends):
+            lists = tree.query_ball_point(points[part], reach[part])
+            piece = members[np.fromiter(chain.from_iterable(lists), np.int64)]
+            point = np.repeat(part, count[part])
+            # All of a piece lies beyond its first Bézier point in the direction of its centre.
+            direction = pieces.centre[piece] - points[point]
+            length = np.linalg.norm(direction, axis=1)
+            direction /= np.maximum(length, 1e-300)[:, None]
+            ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
+            keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
+            yield point[keep], piece[keep]
+
+
+def _minimise(degree: int, nodes: Array, start: Array) -> tuple[Array, Array]:
+    """Minimise |Phi| over the reference triangle for elements with nodes (n, L, 3).
+
+    Each step minimises a convex quadratic model of f = |Phi|²/2 over the triangle and goes there,
+    or a part of the way if f does not decrease enough. Edges and corners need no other treatment.
+    """
+    indices = node_indices(degree)[:, 1:] / degree
+    derivative = tabulate(degree, indices).derivatives[:, None]  # of nodal values
+    local, target = start.copy(), start.copy()
+    f, slope, part = np.full(len(nodes), np.inf), np.zeros(len(nodes)), np.ones(len(nodes))
+    last = np.zeros(len(nodes), dtype=bool)
+    rounding = 1e-15 * np.abs(nodes).max(axis=(1, 2))  # of Phi
+    todo = np.arange(len(nodes))
+    for _ in range(100):
+        t = part[todo, None]
+        trial = (1 - t) * local[todo] + t * target[todo]
+        values, first = tabulate(degree, trial)
+        here = nodes[todo]
+        r = np.einsum("na,nai->ni", values, here)
+        J = np.einsum("dna,nai->dni", first, here)
+        along = (here @ r[..., None])[..., 0]
+        G = np.einsum("dni,eni->den", J, J)
+        S = ((first @ derivative) * along).sum(axis=3)
+        new = (r * r).sum(axis=1) / 2
+        noise = rounding[todo] * np.sqrt(2 * new)
+        good = new <= f[todo] + 1e-4 * part[todo] * slope[todo] + noise
+        part[todo] = np.where(good, 1, part[todo] / 4)
+        ended = last[todo]
+        i = todo[good]
+        local[i], f[i] = trial[good], new[good]
+        g = (J * r).sum(axis=2)[:, good]
+        target[i], slope[i], decrease = _step(trial[good], g, G[..., good], S[..., good])
+        last[i] = decrease <= noise[good]  # one more step of Newton's method is exact enough
+        size = np.abs(target[todo] - local[todo]).max(axis=1)
+        todo = todo[~ended & (part[todo] * size > 1e-15)]
+        if not len(todo):
+            break
+    return local, np.sqrt(2 * f)
+
+
+def _step(local: Array, g: Array, G: Array, S: Array) -> tuple[Array, Array, Array]:
+    """Next point of the triangle for the gradient g and the Hessian G + S; slope and decrease."""
+    target = _lowest(local, g, _convex(G, S))
+    step = (target - local).T
+    slope, curvature = (g * step).sum(axis=0), np.einsum("dn,den,en->n", step, G + S, step)
+    # Where G + S is not convex, its minimum in that direction may lie further away: there, or on
+    # the triangle's boundary.
+    room, ahead = np.stack([1 - local.sum(axis=1), *local.T]), np.stack([step.sum(axis=0), *-step])
+    used = np.divide(ahead, room, out=np.zeros_like(room), where=room > 0).max(axis=0)
+    bend = np.divide(curvature.clip(0), -slope, out=np.ones_like(slope), where=slope < 0)
+    share = np.maximum(used, bend)  # the step's share of the way to there
+    factor = np.where(share < 1 - 1e-9, 1 / np.maximum(share, 1e-9), 1)
+    beyond = np.maximum(local + factor[:, None] * step.T, 0)
+    beyond /= np.maximum(beyond.sum(axis=1), 1)[:, None]
+    target = np.where(factor[:, None] > 1, beyond, target)
+    return target, factor * slope, -factor * (slope + factor * curvature / 2)
+
+
+def _convex(G: Array, S: Array) -> Array:
+    """Make G + S positive definite: its smallest eigenvalue relative to G by modulus."""
+    G = G + (1e-15 * (G[0, 0] + G[1, 1]) + 1e-300) * np.eye(2)[..., None]
+    det = np.maximum(_det(G), 1e-300)
+    mean = (G[1, 1] * S[0, 0] - 2 * G[0, 1] * S[0, 1] + G[0, 0] * S[1, 1]) / (2 * det)
+    lowest = 1 + mean - np.sqrt(np.maximum(mean**2 - _det(S) / det, 0))
+    shifted: Array = S + (1 + np.maximum(1e-6, np.abs(lowest)) - lowest) * G
+    return shifted
+
+
+def _det(H: Array) -> Array:
+    return np.asarray(H[0, 0] * H[1, 1] - H[0, 1] ** 2)
+
+
+def _lowest(local: Array, g: Array, H: Array) -> Array:
+    """Where in the triangle g s + s H s / 2 is lowest, with s from `local`."""
+    det = _det(H)
+    newton = np.stack([H[0, 1] * g[1] - H[1, 1] * g[0], H[0, 1] * g[0] - H[0, 0] * g[1]])
+    inside = local + (newton / np.where(det > 0, det, np.inf)).T
+    free = (det > 0) & (inside >= 0).all(axis=1) & (inside.sum(axis=1) <= 1)
+    slopes = g + np.einsum("den,cnd->cen", H, CORNERS[:, None] - local)  # at the corners
+    curvature = np.einsum("cd,den,ce->cn", EDGES, H, EDGES)
+    t = -np.einsum("cd,cdn->cn", EDGES, slopes) / np.maximum(curvature, 1e-300)
+    on_edges = CORNERS[:, None] + np.clip(t, 0, 1)[..., None] * EDGES[:, None]
+    steps = on_edges - local
+    model = np.einsum("dn,cnd->cn", g, steps) + np.einsum("cnd,den,cne->cn", steps, H, steps) / 2
+    best = on_edges[model.argmin(axis=0), np.arange(len(local))]
+    return np.where(free[:, None], inside, best)
