@@ -4,6 +4,7 @@ from esfem_core.elements.integrals import DegenerateElementError, ElementError, 
 from esfem_core.elements.lagrange import Basis, node_indices, tabulate
 from esfem_core.elements.lifting import squared_differences
 from esfem_core.elements.numbering import flat_triangles
+from esfem_core.elements.probing import ClosestPoints, closest_points, probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import combination, with_data
 from esfem_core.elements.space import SurfaceSpace
@@ -11,15 +12,18 @@ from esfem_core.elements.surface import Surface
 
 __all__ = [
     "Basis",
+    "ClosestPoints",
     "DegenerateElementError",
     "ElementError",
     "NotFiniteError",
     "Surface",
     "SurfaceSpace",
     "TriangleRule",
+    "closest_points",
     "combination",
     "flat_triangles",
     "node_indices",
+    "probe",
     "squared_differences",
     "tabulate",
     "triangle_rule",

@@ -16,6 +16,7 @@ from esfem_core.checks import Array, Ints, finite_array, real_array, shown, whol
 from esfem_core.elements.integrals import ElementTables, Metric, chunks
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.numbering import number_cells, place_nodes
+from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern
 from esfem_core.solvers import Fronts, dissect
@@ -182,6 +183,30 @@ class SurfaceSpace:
         values = finite_array("function(x)", function(x), (len(x), "..."))
         return np.array(values)
 
+    def probe(self, x: Array, u: Array, points: ArrayLike) -> Array:
+        """Values of a finite element function at the points of Γ_h[x] closest to given ones.
+
+        See :func:`esfem_core.elements.probing.probe`.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+        u : (N, ...) float array
+        points : (n, 3) float array
+
+        Returns
+        -------
+        (n, ...) float array
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+        >>> space.probe(space.nodes, space.nodes[:, 2], [[0.0, 0.0, 3.0]]).round(12)
+        array([1.])
+        """
+        return probe(self, x, u, points)
+
     def integrate(self, x: Array, values: ArrayLike) -> Array:
         """Integrals over Γ_h[x] of values at its quadrature points.
 
@@ -211,7 +236,7 @@ class SurfaceSpace:
         0.99996
         >>> u = space.evaluate(space.nodes[:, 2] ** 2)
         >>> print(f"{space.integrate(space.nodes, u) / (4 * np.pi / 3):.4f}")
-        0.9999
+        1.0000
         """
         return self.integral_with(self.density(x).T, values)
 
