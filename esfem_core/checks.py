@@ -5,8 +5,10 @@ code behind it relies on. Its message says the name, what is allowed and what wa
 """
 
 import math
+import os
 from collections.abc import Sequence
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -20,6 +22,7 @@ __all__ = [
     "integer_array",
     "number",
     "one_of",
+    "output_path",
     "real_array",
     "shown",
     "whole_number",
@@ -173,6 +176,52 @@ def one_of(name: str, value: object, options: Any) -> str:
         text = f"{', '.join(most)} or {last}" if most else last
         raise ValueError(f"{name} must be {text}, got {shown(value)}")
     return value
+
+
+def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
+    """A file to be written, in a directory that exists, so that no run ends with a lost result.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    path : str or path-like
+    suffixes : sequence of str
+        What it may end with, such as ``(".npz",)``.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    TypeError
+        If it is no path.
+    ValueError
+        If it ends otherwise, or is a directory.
+    FileNotFoundError
+        If its directory does not exist.
+
+    Examples
+    --------
+    >>> output_path("path", "run.txt", (".npz",))
+    Traceback (most recent call last):
+        ...
+    ValueError: path must end with ".npz", got 'run.txt'
+    """
+    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
+        raise TypeError(f"{name} must be the path of a file, got {shown(path)}")
+    file = Path(path)
+    if file.suffix.lower() not in suffixes:
+        allowed = " or ".join(f'"{suffix}"' for suffix in suffixes)
+        raise ValueError(f"{name} must end with {allowed}, got {str(file)!r}")
+    if file.is_dir():
+        raise ValueError(f"{name} must be a file, but {str(file)!r} is a directory")
+    if not file.parent.is_dir():
+        raise FileNotFoundError(
+            f"{name}: the directory {str(file.parent)!r} does not exist; make it first"
+        )
+    return file
 
 
 def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:

@@ -1,6 +1,8 @@
 """Steps in time: linearly implicit BDF of order p."""
 
 from esfem_core.stepping import bdf
+from esfem_core.stepping.checkpoints import load, respaced, save
+from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.run import MASSES, evolve
@@ -22,5 +24,9 @@ __all__ = [
     "check_state",
     "evolve",
     "exact_state",
+    "load",
     "measure",
+    "respaced",
+    "save",
+    "write_whole",
 ]

@@ -1,0 +1,43 @@
+"""Files that are whole at any moment."""
+
+import os
+from pathlib import Path
+
+__all__ = ["write_whole"]
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file; at any moment, also on a full disk, the old or the new one is there whole.
+
+    The bytes go to a hidden file beside it, are forced to the disk, and take its place in one step.
+
+    Parameters
+    ----------
+    path : Path
+    data : bytes
+
+    Raises
+    ------
+    OSError
+        If it cannot be written, with the name of the file; an older one is untouched.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     write_whole(Path(folder, "run.txt"), b"done")
+    ...     [file.name for file in Path(folder).iterdir()]
+    ['run.txt']
+    """
+    path = path.resolve()  # a link stays a link
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        reason = f"{error.strerror}; the file is as it was: make room, or choose another place"
+        raise OSError(error.errno, reason, str(path)) from error
