@@ -1,5 +1,6 @@
 """Runs: arguments checked, starting values made, steps taken."""
 
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -8,11 +9,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from esfem_core.checks import Array, number, one_of, shown, whole_number
+from esfem_core.checks import Array, number, one_of, output_path, shown, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, cholmod, factorise, superlu
+from esfem_core.stepping.checkpoints import saving
 from esfem_core.stepping.guard import EvolutionWarning, Guard
 from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
@@ -42,6 +44,8 @@ def evolve(
     perturbation: Perturbation | None = None,
     growth: float = 1e12,
     statistics: Statistics | None = None,
+    save: str | os.PathLike[str] | None = None,
+    every: int = 50,
 ) -> Iterator[State]:
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
@@ -83,12 +87,13 @@ def evolve(
         is [N] (7.2) as printed. Its defect has the additional term
         (delta_0/tau) (M(x~^n) - M(x^n)) u^n = O(tau^{p-1}), so its order in u is p - 1, and for
         p = 1 it misses the change of the mass altogether.
-    start : {"exact", "euler"} or sequence of p states, optional
+    start : {"exact", "euler"} or sequence of p or more states, optional
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
         the default if it is given. "euler": linearly implicit Euler steps, extrapolated to
-        order p, with updated mass matrices. Otherwise the states to start from, a step apart: the
-        run goes on from the last one. From its own states it goes on exactly, as if it had not
-        been interrupted.
+        order p, with updated mass matrices. Otherwise the states to start from, of which the last
+        p count, a step apart: the run goes on from the last one. From its own states it goes on
+        exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes states that
+        are another step apart.
         Exact values at (p - 1) tau also restart the error of space there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
@@ -111,6 +116,13 @@ def evolve(
         with an error, or infinity; at a factor of 1e6 it warns.
     statistics : Statistics, optional
         Collects what the linear solvers do, to be read while the run goes on.
+    save : path, optional
+        A file that ends with ".npz", for the last p + 1 states: written as soon as the starting
+        values are known, then every so many steps, and at the end or when the run fails; see
+        :func:`esfem_core.save`. ``space, states = esfem_core.load(path)`` and ``start=states`` go
+        on from there.
+    every : int
+        Steps from save to save.
 
     Yields
     ------
@@ -132,6 +144,7 @@ def evolve(
     Warns
     -----
     EvolutionWarning
+        If `save` cannot be written; the run goes on, and an older file is untouched.
         Once, where an angle falls below one degree or values have grown by a factor of 1e6: the run
         will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more.
 
@@ -153,6 +166,9 @@ def evolve(
     one_of("mass", mass, Mass)
     if growth != np.inf:
         number("growth", growth, above=1)
+    number("growth", growth, above=1)
+    every = whole_number("every", every, 1)
+    file = None if save is None else output_path("save", save, (".npz",))
     make_solver = _solver_factory(space, solver)
     given = _checked_start(space, problem, start, order, step)
     n_steps = _steps_after_start(given, order, step, end)
@@ -161,7 +177,8 @@ def evolve(
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
     guard = Guard(space, first.x, first.fields, growth)
-    return _run(scheme, order, step, n_steps, end, given, guard)
+    states = _run(scheme, order, step, n_steps, end, given, guard)
+    return states if file is None else saving(states, file, every, order)
 
 
 def _run(
@@ -240,8 +257,9 @@ def _checked_start(
             f'start must be "exact", "euler" or a sequence of states, got {shown(start)}'
         )
     states = [state for state in start if isinstance(state, State)]
-    if len(start) != order or len(states) != order:
-        raise ValueError(f"start must hold p = {order} states, got {len(states)}")
+    if len(states) < max(order, len(start)):
+        raise ValueError(f"start must hold p = {order} states or more, got {len(states)}")
+    states = states[-order:]
     for i, state in enumerate(states):
         check_state(space, state, f"start[{i}]")
         _check_functions(f"start[{i}]", problem, state)

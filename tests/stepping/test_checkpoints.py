@@ -1,0 +1,485 @@
+"""Saved runs go on bit for bit, damaged files are refused, another step keeps order and amounts."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import zipfile
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+MASSES = ["updated", "extrapolated", "reassembled"]
+
+
+def growth(at):
+    return 1 + at["u"] + at.points[..., 2] * np.cos(3 * at.t)
+
+
+def coupled(**more):
+    """A surface that moves with one of its species; two components, and one that is not kept."""
+    return ec.Problem(
+        species={
+            "u": ec.Species(lambda x: 1 + x[:, 0] * x[:, 1], **more),
+            "pair": ec.Species(lambda x: x[:, :2] + 2, lambda at: -at["pair"], diffusivity=[1, 2]),
+            "free": ec.Species(lambda x: x[:, 2], conserved=False),
+        },
+        law=ec.laws.Regularised(0.5, 0.3, growth),
+    )
+
+
+PROBLEMS = {
+    "coupled": coupled(),
+    "moved alone": ec.Problem(
+        species={}, law=ec.laws.Regularised(1, 1, lambda at: at.points[..., 0])
+    ),
+    "motion": ec.Problem(1.0, motion=lambda p, t: p * [1 + 0.3 * np.sin(t), 1, np.exp(-t)]),
+    "velocity": ec.Problem(
+        species={"u": ec.Species(lambda x: x[:, 0])},
+        law=ec.laws.Prescribed(velocity=lambda x, t: x * np.sin(t)),
+    ),
+}
+
+
+def same(one, other, tolerance=None):
+    """Whether states are the same, bit for bit or nearly."""
+    assert one.t == other.t
+    assert list(one.fields) == list(other.fields)
+    assert list(one.products) == list(other.products)
+    pairs = [(one.x, other.x), (one.v, other.v)]
+    pairs += [(one.fields[name], other.fields[name]) for name in one.fields]
+    pairs += [(one.products[name], other.products[name]) for name in one.products]
+    for a, b in pairs:
+        if tolerance is None:
+            np.testing.assert_array_equal(a, b)
+        elif a is not None:
+            np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("mass", MASSES)
+@pytest.mark.parametrize("kind", PROBLEMS)
+@pytest.mark.parametrize(("solver", "tolerance"), [("direct", None), ("lagged", 1e-9)])
+def test_a_run_that_is_saved_and_read_goes_on_as_if_it_had_not_stopped(
+    tmp_path, kind, mass, solver, tolerance
+):
+    options = {"order": 3, "step": 0.05, "end": 0.6, "mass": mass, "solver": solver}
+    states = list(ec.evolve(SPACE, PROBLEMS[kind], **options))
+    for stopped in (3, 4, 8):  # right after the starting values, among them, and later
+        ec.save(tmp_path / "run.npz", states[stopped - 3 : stopped])
+        space, start = ec.load(tmp_path / "run.npz")
+        again = list(ec.evolve(space, PROBLEMS[kind], **options, start=start))
+        assert len(again) == len(states) - stopped + 3
+        for one, other in zip(again, states[stopped - 3 :], strict=True):
+            same(one, other, tolerance)
+
+
+def test_the_space_that_is_read_is_the_same_bit_for_bit(tmp_path):
+    for degree, exactness in ((1, None), (2, 5), (4, None), (5, 13)):
+        space = ec.SurfaceSpace(ec.torus(1.0, 0.4, 6), degree, exactness=exactness)
+        ec.save(tmp_path / "run.npz", ec.State(0.1, space.nodes, space=space))
+        other, [state] = ec.load(tmp_path / "run.npz")
+        assert state.space is other
+        assert state.t == 0.1
+        assert other.degree == degree
+        for one, two in [
+            (space.nodes, other.nodes),
+            (space.cells, other.cells),
+            (space.rule.points, other.rule.points),
+            (space.elimination_order, other.elimination_order),
+            (space.mass_stiffness(space.nodes)[1].data, other.mass_stiffness(other.nodes)[1].data),
+        ]:
+            np.testing.assert_array_equal(one, two)
+
+
+KILLED = """
+import os, signal, sys
+import esfem_core as ec
+from stepping.test_checkpoints import SPACE, coupled
+
+class Source:
+    def __call__(self, at):  # in the middle of a step, when half of its systems are solved
+        if at.t > 0.42:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return None
+
+problem = coupled(source=Source())
+for state in ec.evolve(SPACE, problem, 3, 0.05, 0.6, solver="direct", save=sys.argv[1], every=2):
+    print(state.t, flush=True)
+"""
+
+
+def test_a_run_killed_in_the_middle_of_a_step_goes_on_bit_for_bit(tmp_path):
+    path = tmp_path / "run.npz"
+    folders = [str(Path(ec.__file__).parents[1]), str(Path(__file__).parents[1])]
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, path],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(folders)},
+        capture_output=True,
+        text=True,
+    )
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert killed.stdout.split()[-1] == "0.4"
+    space, start = ec.load(path)
+    assert start[-1].t == 0.4
+    whole = list(ec.evolve(SPACE, coupled(), 3, 0.05, 0.6, solver="direct"))
+    again = list(ec.evolve(space, coupled(), 3, 0.05, 0.6, solver="direct", start=start))
+    for one, other in zip(again, whole[-len(again) :], strict=True):
+        same(one, other)
+
+
+def test_evolve_saves_after_the_starting_values_every_so_many_steps_and_at_the_end(tmp_path):
+    path, held = tmp_path / "run.npz", []
+    run = ec.evolve(SPACE, coupled(), 3, 0.1, 1.2, save=path, every=4)
+    for state in run:
+        held.append((state.t, ec.load(path)[1][-1].t if path.exists() else None))
+    assert held == [
+        (0.0, None), (0.1, None), (0.2, 0.2), (0.3, 0.2), (0.4, 0.2), (0.5, 0.2), (0.6, 0.6),
+        (0.7, 0.6), (0.8, 0.6), (0.9, 0.6), (1.0, 1.0), (1.1, 1.0), (1.2, 1.0),
+    ]  # fmt: skip
+    assert [state.t for state in ec.load(path)[1]] == [0.9, 1.0, 1.1, 1.2]
+    assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_a_run_that_fails_leaves_its_last_good_states(tmp_path):
+    path = tmp_path / "run.npz"
+    problem = ec.Problem(
+        1.0, f=lambda at: at.u * (np.nan if at.t > 0.72 else 1.0), motion=lambda p, t: p
+    )
+    with pytest.raises(ec.EvolutionError, match="nan"):
+        list(ec.evolve(SPACE, problem, 2, 0.1, 2.0, save=path))
+    assert [state.t for state in ec.load(path)[1]] == [0.5, 0.6, 0.7]
+
+
+def full_disk(limit):
+    """A disk with room for a file of so many bytes, as far as this process is concerned."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+
+
+@pytest.fixture
+def room():
+    """Sets the room on the disk, and gives it back."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.getsignal(signal.SIGXFSZ)
+    yield full_disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_leaves_the_older_file_whole(tmp_path, room):
+    path = tmp_path / "run.npz"
+    states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))
+    ec.save(path, states[:2])
+    before = path.read_bytes()
+    room(1000)
+    with pytest.raises(
+        OSError, match=r"File too large; the file is as it was: make room.*run\.npz"
+    ):
+        ec.save(path, states)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["run.npz"]
+
+
+def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path, room):
+    path = tmp_path / "run.npz"
+    run = ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, save=path, every=2)
+    assert [state.t for state in islice(run, 2)] == [0.0, 0.1]
+    room(1000)
+    with pytest.warns(ec.EvolutionWarning, match=r"t = 0\.3 could not be saved .*File too large"):
+        list(islice(run, 2))
+    assert ec.load(path)[1][-1].t == 0.1
+    with pytest.warns(ec.EvolutionWarning, match=r"holds the states up to t = 0\.1.*again after 2"):
+        list(islice(run, 2))
+    room(10**9)
+    assert [state.t for state in run] == [0.6, 0.7, 0.8]
+    assert ec.load(path)[1][-1].t == 0.8
+
+
+def saved(tmp_path):
+    path = tmp_path / "run.npz"
+    states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))[-2:]
+    ec.save(path, states)
+    return path, states
+
+
+def test_no_flipped_bit_is_read_as_a_number(tmp_path):
+    """Wherever the damage is: refused by name, or in a byte that means nothing."""
+    path, states = saved(tmp_path)
+    data = path.read_bytes()
+    rng = np.random.default_rng(1)
+    places = {*rng.integers(len(data), size=150).tolist(), *range(len(data) - 60, len(data))}
+    refused = 0
+    for place in sorted(places | set(range(0, 200, 3))):
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        try:
+            _, read = ec.load(path)
+        except ValueError as error:
+            refused += 1
+            assert str(path) in str(error)  # noqa: PT017
+        else:
+            for one, other in zip(read, states, strict=True):
+                same(one, other)
+    assert refused > 150
+
+
+def test_a_file_cut_short_or_of_another_kind_is_refused_by_name(tmp_path):
+    path, _ = saved(tmp_path)
+    data = path.read_bytes()
+    for wrong in (b"", b"no archive", data[:100], data[: len(data) // 2], data[:-1]):
+        path.write_bytes(wrong)
+        with pytest.raises(ValueError, match=r"run\.npz' is damaged, or was not written by"):
+            ec.load(path)
+    np.savez(path, x=np.zeros(3))
+    with pytest.raises(ValueError, match=r"run\.npz' is damaged, or was not written by"):
+        ec.load(path)
+    with pytest.raises(FileNotFoundError, match="there is no file"):
+        ec.load(tmp_path / "other.npz")
+
+
+def rewritten(path, change):
+    """Change header and arrays as an editor could, with right checksums."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays.pop("header")))
+    change(header, arrays)
+    np.savez(path, header=json.dumps(header), **arrays)
+
+
+def drop(header, arrays):
+    del arrays["1/fields/0"]
+
+
+def shorten(header, arrays):
+    arrays["1/x"] = arrays["1/x"][:-1]
+
+
+def change_type(header, arrays):
+    arrays["0/x"] = arrays["0/x"].astype(complex)
+
+
+def tear(header, arrays):
+    arrays["cells"][0, 3] = arrays["cells"][1, 4]
+
+
+def mirror(header, arrays):
+    arrays["nodes"] *= -1
+
+
+def spoil(header, arrays):
+    arrays["1/x"][3, 1] = np.nan
+
+
+def swap(header, arrays):
+    header["states"][0]["t"] = 7.0
+
+
+def rename(header, arrays):
+    header["states"][0]["fields"][0] = "other"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (drop, "1/fields/0"),
+        (shorten, r"1/x has type float64 and shape \(65, 3\)"),
+        (change_type, "0/x has type complex128"),
+        (tear, "element 0 does not have the nodes of its neighbours|neighbours must share"),
+        (mirror, "oriented inwards"),
+        (spoil, r"states\[1\]\.x must be finite, but .*\[3, 1\] is nan"),
+        (swap, "order of time"),
+        (rename, "belongs to no function|must have the same functions"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(tmp_path, change, message):
+    path, _ = saved(tmp_path)
+    rewritten(path, change)
+    with pytest.raises(ValueError, match=rf"run\.npz' is damaged: .*({message})"):
+        ec.load(path)
+
+
+def test_a_later_version_is_told_from_damage(tmp_path):
+    path, _ = saved(tmp_path)
+    rewritten(path, lambda header, arrays: header.update(version=2))
+    with pytest.raises(ValueError, match="has version 2 of the format"):
+        ec.load(path)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    path, _ = saved(tmp_path)
+    with zipfile.ZipFile(path) as file:
+        for name in file.namelist():
+            assert b"'descr': '|O'" not in file.read(name)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **arrays | {"0/x": np.array([print], dtype=object)})
+    with pytest.raises(ValueError, match=r"damaged.*allow_pickle=False"):
+        ec.load(path)
+
+
+def test_save_refuses_what_it_could_not_read_again(tmp_path):
+    states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))
+    other = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1)
+    alone = ec.State(0.0, SPACE.nodes, None, SPACE.nodes[:, 0], space=SPACE)
+    for path, given, error, message in [
+        ("run.txt", states, ValueError, 'path must end with ".npz"'),
+        ("none/run.npz", states, FileNotFoundError, "directory .* does not exist; make it first"),
+        ("run.npz", [], ValueError, "at least one state, got none"),
+        ("run.npz", [1], TypeError, r"states\[0\] must be a State, got 1"),
+        ("run.npz", [ec.State(0.0, SPACE.nodes)], ValueError, "knows no space"),
+        ("run.npz", states[::-1], ValueError, "must be in the order of time"),
+        ("run.npz", [alone, states[-1]], ValueError, "must have the same functions"),
+        (
+            "run.npz",
+            [ec.State(0.0, other.nodes, space=other), states[-1]],
+            ValueError,
+            r"one space, but states\[1\] has another",
+        ),
+    ]:
+        with pytest.raises(error, match=message):
+            ec.save(tmp_path / path, given)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_evolve_refuses_a_save_that_could_not_be_written_at_the_call(tmp_path):
+    for options, error, message in [
+        ({"save": tmp_path / "run.vtu"}, ValueError, 'save must end with ".npz"'),
+        ({"save": tmp_path / "a" / "run.npz"}, FileNotFoundError, "save: the directory"),
+        ({"save": tmp_path / "run.npz", "every": 0}, ValueError, "every must be an integer >= 1"),
+        ({"save": 3}, TypeError, "save must be the path of a file, got 3"),
+    ]:
+        with pytest.raises(error, match=message):
+            ec.evolve(SPACE, coupled(), 2, 0.1, 0.4, **options)
+
+
+def test_the_last_p_of_more_states_are_started_from():
+    states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, solver="direct"))
+    options = {"order": 2, "step": 0.1, "end": 0.8, "solver": "direct"}
+    for one, other in zip(
+        ec.evolve(SPACE, coupled(), **options, start=states[:5]), states[3:], strict=True
+    ):
+        same(one, other)
+
+
+# Another step
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
+def test_a_polynomial_in_time_of_degree_p_is_met_exactly(p):
+    """Positions and a density on a sphere of constant size, at times that are no multiples."""
+
+    def state(t):
+        shift = np.array([1.0, 2.0, 3.0]) * t**p
+        return ec.State(t, SPACE.nodes + shift, None, SPACE.nodes[:, 0] + t**p, space=SPACE)
+
+    given = [state(1 + 0.1 * j) for j in range(p + 1)]
+    made = ec.respaced(given, 0.1 / np.sqrt(3), order=p)
+    assert len(made) == p
+    assert made[-1] is given[-1]
+    for one in made:
+        same_at = state(one.t)
+        np.testing.assert_allclose(one.x, same_at.x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.u, same_at.u, rtol=0, atol=1e-12)
+
+
+def amount(state):
+    return state.space.mass(state.x).sum(axis=0) @ state.u
+
+
+def test_amounts_stay_what_they_are_in_every_state():
+    states = list(ec.evolve(SPACE, coupled(), 3, 0.05, 0.4, solver="direct"))
+    first = amount(states[0])
+    start = ec.respaced(states[-4:], 0.031, order=3)
+    for state in ec.evolve(SPACE, coupled(), 3, 0.031, 0.4 + 0.31, start=start, solver="direct"):
+        assert amount(state) == pytest.approx(first, rel=2e-13)
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return list(ec.evolve(SPACE, coupled(), 5, 1 / 400, 1.475, start="euler"))[-1]
+
+
+@pytest.mark.parametrize(
+    ("p", "mass"),
+    [(1, "updated"), (2, "updated"), (3, "updated"), (3, "extrapolated"), (4, "updated")],
+)
+def test_a_run_goes_on_with_another_step_at_its_order(p, mass, fine):
+    """Against small steps on the same mesh; the step shrinks to 0.7 of it, then grows to 1.5."""
+    problem, errors = coupled(), []
+    for n in (40, 80):
+        states = list(ec.evolve(SPACE, problem, p, 1 / n, 0.5, mass=mass))
+        for factor, end in ((0.7, 1.025), (1.5, 1.475)):
+            step = factor / n
+            start = ec.respaced(states, step, order=p)
+            states += list(ec.evolve(SPACE, problem, p, step, end, mass=mass, start=start))[p:]
+        errors.append(ec.errors.difference(SPACE, states[-1], fine))
+    for name in ("x_l2", "u_l2"):
+        rate = np.log2(getattr(errors[0], name) / getattr(errors[1], name))
+        assert p - 0.35 < rate < p + 1.2, (name, rate)
+
+
+def test_the_same_step_gives_the_same_states():
+    states = list(ec.evolve(SPACE, coupled(), 3, 0.05, 0.4))
+    made = ec.respaced(states, 0.05)
+    assert all(one is other for one, other in zip(made, states[-6:], strict=True))
+    twice = ec.respaced(states, 0.1, order=3)
+    assert all(one is other for one, other in zip(twice, states[-5::2], strict=True))
+
+
+def test_respaced_says_how_far_the_states_must_reach_back():
+    states = list(ec.evolve(SPACE, coupled(), 3, 0.05, 0.4))
+    with pytest.raises(
+        ValueError, match=r"reach back to t = 0\.2 for order 3 and step 0\.1, .*0\.3"
+    ):
+        ec.respaced(states[-3:], 0.1, order=3)
+    with pytest.raises(ValueError, match="step must be a finite number > 0"):
+        ec.respaced(states, 0)
+    with pytest.raises(ValueError, match="order must be an integer >= 1, got 0"):
+        ec.respaced(states, 0.1, order=0)
+    with pytest.raises(ValueError, match="at least one state"):
+        ec.respaced([], 0.1)
+
+
+def adaptive(space, problem, p, step, end, tolerance):
+    """Steps halved and doubled by how well extrapolation foresees the positions."""
+    states = list(ec.evolve(space, problem, p, step, (p - 1) * step))
+    while end - states[-1].t > 1e-9 * step:
+        step = min(step, end - states[-1].t)
+        start = ec.respaced(states, step, order=p)
+        *_, new = ec.evolve(space, problem, p, step, start[-1].t + step, start=start)
+        foreseen = sum(c * state.x for c, state in zip(ec.bdf.gamma(p), start[::-1], strict=True))
+        error = abs(new.x - foreseen).max()
+        if error > tolerance:
+            step /= 2
+            continue
+        states.append(new)
+        if error < tolerance / 2 ** (p + 1) and new.t - states[0].t > 2 * (p - 1) * step:
+            step *= 2
+    return states
+
+
+def test_ten_lines_choose_the_step():
+    """A motion that is fast around t = 1 and slow before and after."""
+
+    def motion(q, t):
+        return q * (2 + np.tanh(20 * (t - 1))) / (2 + np.tanh(-20))
+
+    problem = ec.Problem(1.0, motion=motion)
+    states = adaptive(SPACE, problem, 2, 0.05, 2.0, 0.02)
+    times = np.array([state.t for state in states])
+    steps = np.diff(times)
+    assert times[-1] == 2.0
+    fast = abs(times[1:] - 1) < 0.1
+    assert steps[fast].max() < steps[~fast].max() / 8
+    exact = amount(states[0])
+    for state in states:
+        assert amount(state) == pytest.approx(exact, rel=1e-12)
+        np.testing.assert_allclose(state.x, motion(SPACE.nodes, state.t), atol=0.02)
