@@ -3,6 +3,7 @@
 from esfem_core import errors, laws, problems, study
 from esfem_core.elements import DegenerateElementError, ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Species
+from esfem_core.output import SeriesWriter, TableWriter, save_series, save_table
 from esfem_core.problems import Exact, Problem
 from esfem_core.solvers import DirectSolver, LaggedSolver
 from esfem_core.stepping import (
@@ -42,11 +43,13 @@ __all__ = [
     "MeshingError",
     "Problem",
     "Quality",
+    "SeriesWriter",
     "Species",
     "State",
     "Statistics",
     "Surface",
     "SurfaceSpace",
+    "TableWriter",
     "bdf",
     "check_triangulation",
     "defects",
@@ -65,6 +68,8 @@ __all__ = [
     "project_to_level_set",
     "respaced",
     "save",
+    "save_series",
+    "save_table",
     "sphere",
     "study",
     "to_unit_sphere",

@@ -1,12 +1,17 @@
-"""What a person looks at: plots and moving surfaces."""
+"""What a person looks at: plots and moving surfaces; files for other programs."""
 
 from esfem_core.output.animation import surface_animation
 from esfem_core.output.plotting import COLOURS, MARKERS, convergence_plot, style
+from esfem_core.output.series import SeriesWriter, TableWriter, save_series, save_table
 
 __all__ = [
     "COLOURS",
     "MARKERS",
+    "SeriesWriter",
+    "TableWriter",
     "convergence_plot",
+    "save_series",
+    "save_table",
     "style",
     "surface_animation",
 ]

@@ -1,0 +1,358 @@
+"""Runs on disk for other programs: curved elements for ParaView, numbers for spreadsheets.
+
+A VTU file is written without a library, since that of VTK is large and meshio does not escape
+names; both read it back in the tests.
+"""
+
+import base64
+import csv
+import io
+import os
+import sys
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from esfem_core.checks import output_path, shown
+from esfem_core.output.curved import nodal_normals
+from esfem_core.stepping import State, check_state, write_whole
+
+__all__ = ["SeriesWriter", "TableWriter", "save_series", "save_table"]
+
+LAGRANGE_TRIANGLE = 69  # VTK_LAGRANGE_TRIANGLE, of any degree
+TYPES = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}
+BYTE_ORDER = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
+FAST = 1  # level of compression: floats hardly shrink, elements do at any level
+
+
+class SeriesWriter:
+    """Writes states for ParaView, each when it comes: in a loop what `save_series` is in one call.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ".pvd"; the states go to files beside it, "run.pvd" to "run_00000.vtu" and so on.
+    normals : bool
+        Write unit normals at the nodes, too, as "normals".
+    go_on : bool
+        Keep what an earlier run has written of times before the first state that comes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `path` does not end with ".pvd", or `go_on` meets a file that is damaged.
+    FileNotFoundError
+        If the directory does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     series = ec.SeriesWriter(f"{folder}/run.pvd")
+    ...     for state in ec.evolve(space, ec.problems.growing_sphere(), 2, 0.1, 0.3):
+    ...         series.write(state)
+    ...     sorted(os.listdir(folder))
+    ['run.pvd', 'run_00000.vtu', 'run_00001.vtu', 'run_00002.vtu', 'run_00003.vtu']
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], *, normals: bool = False, go_on: bool = False
+    ) -> None:
+        self.path = output_path("path", path, (".pvd",))
+        self._normals = normals
+        self._written: list[tuple[float, str]] = []
+        if go_on and self.path.exists():
+            self._written = _entries(self.path)
+        self._last: State | None = None
+
+    def write(self, state: State) -> None:
+        """Write a state; afterwards the series is complete up to it.
+
+        Parameters
+        ----------
+        state : State
+            Of a run, or with a space of its own. The space may be another than before, functions
+            may not.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no state that knows its space, has other functions than the one before, or an
+            earlier time.
+        OSError
+            If a file cannot be written; the series is what it was.
+        """
+        arrays = self._point_data(state)
+        if self._last is None:
+            self._written = [entry for entry in self._written if entry[0] < state.t]
+        name = f"{self.path.stem}_{len(self._written):05d}.vtu"
+        written = [*self._written, (state.t, name)]
+        write_whole(self.path.with_name(name), _vtu(state, arrays))
+        write_whole(self.path, _pvd(written))
+        self._written, self._last = written, state
+
+    def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
+        if not isinstance(state, State):
+            raise TypeError(f"a series holds states, got {shown(state)}")
+        if state.space is None:
+            raise ValueError("this state knows no space: State(..., space=space)")
+        check_state(state.space, state)
+        last = self._last or state
+        if _functions(state) != _functions(last):
+            raise ValueError(
+                f"all states of a series must have the same functions, but that of t = {state.t:g} "
+                f"has {_functions(state)}, the one before {_functions(last)}"
+            )
+        if state.t < last.t:
+            raise ValueError(f"states must come in the order of time, got {state.t} after {last.t}")
+        # Programs want each array at all times, and starting states have no velocity.
+        velocity = np.full_like(state.x, np.nan) if state.v is None else state.v
+        more = {"v": velocity}
+        if self._normals:
+            more["normals"] = nodal_normals(state.space, state.x)
+        for name in more:
+            if name in state.fields:
+                raise ValueError(f"a function must not be called {name!r}: that is written, too")
+        return {**state.fields, **more}
+
+
+def save_series(
+    path: str | os.PathLike[str],
+    states: Iterable[State],
+    *,
+    normals: bool = False,
+    go_on: bool = False,
+) -> State:
+    """Write states for ParaView as they come: one VTU file each, and a PVD file with their times.
+
+    The elements are true Lagrange triangles of the degree of the space, with all functions and the
+    velocity "v" as point data (NaN in starting states, which have none); VTU files carry their
+    time, too. After each state the files on disk are whole and complete up to it, so that a run can
+    be watched, or killed.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ".pvd"; the states go to files beside it, "run.pvd" to "run_00000.vtu" and so on.
+    states : iterable of State
+        For example ``ec.evolve(...)`` itself, which is run to its end. To do more with the states
+        of a run, write each in a loop with :class:`SeriesWriter`.
+    normals : bool
+        Write unit normals at the nodes, too, as "normals".
+    go_on : bool
+        Keep what an earlier run has written of times before the first state, for a run that goes on
+        from :func:`esfem_core.load`.
+
+    Returns
+    -------
+    State
+        The last one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `path` does not end with ".pvd", there are no states, one knows no space, has other
+        functions than the one before or an earlier time.
+    FileNotFoundError
+        If the directory does not exist.
+    OSError
+        If a file cannot be written; the series is complete up to the state before.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 3, ec.to_unit_sphere)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     run = ec.evolve(space, ec.problems.growing_sphere(), 2, 0.1, 0.3)
+    ...     last = ec.save_series(f"{folder}/run.pvd", run)
+    >>> last
+    State(t=0.3, nodes=578, fields: u)
+    """
+    writer = SeriesWriter(path, normals=normals, go_on=go_on)
+    last = None
+    for state in [states] if isinstance(states, State) else states:
+        writer.write(state)
+        last = state
+    if last is None:
+        raise ValueError("states must hold at least one state, got none")
+    return last
+
+
+class TableWriter:
+    """Writes rows of numbers to a CSV file, each when it comes.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ".csv"; a file that is there is replaced with the first row.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = TableWriter(f"{folder}/run.csv")
+    ...     table.write({"t": 0.1, "centre": np.array([0.0, 0.5]), "amounts": {"u": 2.0}})
+    ...     print(Path(folder, "run.csv").read_text())
+    t,centre_0,centre_1,amounts_u
+    0.1,0.0,0.5,2.0
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = output_path("path", path, (".csv",))
+        self._columns: list[str] | None = None
+
+    def write(self, row: Any) -> None:
+        """Add a row.
+
+        Parameters
+        ----------
+        row : NamedTuple or mapping of str to number, array or mapping
+            Such as ``ec.measure(state)``. Arrays and mappings get a column for each entry; all
+            digits are written.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is neither, or has other columns than the first row.
+        """
+        named = row._asdict() if hasattr(row, "_asdict") else row
+        if not isinstance(named, Mapping) or not named:
+            raise TypeError(f"a row must be a NamedTuple or a mapping, got {shown(row)}")
+        cells = dict(_cells(named))
+        if self._columns is not None and self._columns != list(cells):
+            raise ValueError(
+                f"all rows must have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
+            )
+        text = io.StringIO()
+        lines = csv.writer(text, lineterminator="\n")
+        if self._columns is None:
+            lines.writerow(cells)
+        lines.writerow(cells.values())
+        with self.path.open("w" if self._columns is None else "a", encoding="utf8") as file:
+            file.write(text.getvalue())
+        self._columns = list(cells)
+
+
+def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
+    """Write rows of numbers to a CSV file as they come.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ".csv".
+    rows : iterable
+        See :meth:`TableWriter.write`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `path` ends otherwise, there is no row, or rows have different columns.
+    FileNotFoundError
+        If the directory does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save_table(f"{folder}/areas.csv", ({"t": t, "area": t**2} for t in (1.0, 2.0)))
+    ...     print(Path(folder, "areas.csv").read_text())
+    t,area
+    1.0,1.0
+    2.0,4.0
+    """
+    writer = TableWriter(path)
+    empty = True
+    for row in rows:
+        writer.write(row)
+        empty = False
+    if empty:
+        raise ValueError("rows must hold at least one row, got none")
+
+
+def _functions(state: State) -> str:
+    """Names and shapes of the functions of a state, as a message shows them."""
+    return ", ".join(f"{n!r} {('N', *w.shape[1:])}" for n, w in state.fields.items()) or "none"
+
+
+def _entries(path: Path) -> list[tuple[float, str]]:
+    """Times and files of a series."""
+    try:
+        root = ElementTree.parse(path).getroot()
+        return [(float(e.attrib["timestep"]), e.attrib["file"]) for e in root.iter("DataSet")]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} is damaged, or no series: {error}") from error
+
+
+def _pvd(entries: Iterable[tuple[float, str]]) -> bytes:
+    lines = [
+        f'    <DataSet timestep="{t!r}" part="0" file={quoteattr(name)}/>' for t, name in entries
+    ]
+    head = f'<VTKFile type="Collection" version="1.0" byte_order="{BYTE_ORDER}">\n  <Collection>'
+    text = "\n".join(['<?xml version="1.0"?>', head, *lines, "  </Collection>", "</VTKFile>", ""])
+    return text.encode()
+
+
+def _vtu(state: State, point_data: Mapping[str, NDArray[Any]]) -> bytes:
+    space = state.space
+    assert space is not None
+    n_cells, n = space.cells.shape
+    data = [
+        '<?xml version="1.0"?>',
+        f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="{BYTE_ORDER}" '
+        'header_type="UInt64" compressor="vtkZLibDataCompressor">',
+        "<UnstructuredGrid>",
+        "<FieldData>",
+        _data_array("TimeValue", np.array([state.t])),
+        "</FieldData>",
+        f'<Piece NumberOfPoints="{len(state.x)}" NumberOfCells="{n_cells}">',
+        "<Points>",
+        _data_array("Points", state.x),
+        "</Points>",
+        "<Cells>",
+        _data_array("connectivity", space.cells.ravel()),
+        _data_array("offsets", n * np.arange(1, n_cells + 1)),
+        _data_array("types", np.full(n_cells, LAGRANGE_TRIANGLE, np.uint8)),
+        "</Cells>",
+        "<PointData>",
+        *(_data_array(name, values) for name, values in point_data.items()),
+        "</PointData>",
+        "</Piece>",
+        "</UnstructuredGrid>",
+        "</VTKFile>",
+        "",
+    ]
+    return "\n".join(data).encode()
+
+
+def _data_array(name: str, values: NDArray[Any]) -> str:
+    """One block of compressed data: number of blocks, sizes of a full and of the last one."""
+    raw = values.tobytes()
+    packed = zlib.compress(raw, FAST)
+    head = np.array([1, len(raw), 0, len(packed)], np.uint64).tobytes()
+    text = base64.b64encode(head) + base64.b64encode(packed)
+    components = f'NumberOfComponents="{values.shape[1]}" ' if values.ndim == 2 else ""
+    size = f'NumberOfTuples="{len(values)}" ' if name == "TimeValue" else ""
+    return (
+        f'<DataArray type="{TYPES[values.dtype.str[1:]]}" Name={quoteattr(name)} {components}{size}'
+        f'format="binary">\n{text.decode()}\n</DataArray>'
+    )
+
+
+def _cells(row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Columns and their entries: numbers of Python, which csv writes with all digits."""
+    for name, value in row.items():
+        if isinstance(value, Mapping):
+            yield from _cells({f"{name}_{key}": entry for key, entry in value.items()})
+        elif np.ndim(value):
+            yield from _cells({f"{name}_{i}": entry for i, entry in enumerate(value)})
+        else:
+            yield name, value.item() if isinstance(value, np.generic | np.ndarray) else value

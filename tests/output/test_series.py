@@ -1,0 +1,219 @@
+"""Series on disk: read back bit for bit by other programs, whole at any moment."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import meshio
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.output.curved import nodal_normals
+
+NAMES = ["u", 'a<"b">&c', "Größe"]
+DEGREES = [1, 2, 3, 4, 5]
+
+
+def states(degree, names=NAMES):
+    """Two states of an ellipsoid, the first without a velocity."""
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), degree, ec.to_unit_sphere)
+    x = space.nodes
+    fields = {name: x[:, :m].squeeze() ** 3 / 7 for m, name in enumerate(names, start=1)}
+    return [
+        ec.State(0.0, x, None, space=space, fields=fields),
+        ec.State(1 / 3, x * [1.3, 1, 1 / 7], x / 3, space=space, fields=fields),
+    ]
+
+
+def entries(path):
+    """Times and files of a series."""
+    root = ElementTree.parse(path).getroot()
+    assert root.attrib["type"] == "Collection"
+    return [(float(e.attrib["timestep"]), e.attrib["file"]) for e in root.iter("DataSet")]
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_meshio_reads_nodes_elements_and_values_back_bitwise(tmp_path, degree):
+    given = states(degree)
+    assert ec.save_series(tmp_path / "a run.pvd", given, normals=True) is given[-1]
+    assert [t for t, _ in entries(tmp_path / "a run.pvd")] == [0.0, 1 / 3]
+    for state, (_, name) in zip(given, entries(tmp_path / "a run.pvd"), strict=True):
+        mesh = meshio.read(tmp_path / name)
+        [block] = mesh.cells
+        assert block.type == "VTK_LAGRANGE_TRIANGLE"
+        np.testing.assert_array_equal(block.data, state.space.cells)
+        np.testing.assert_array_equal(mesh.points, state.x)
+        assert set(mesh.point_data) == {*NAMES, "v", "normals"}
+        for key in NAMES:
+            np.testing.assert_array_equal(mesh.point_data[key], state[key])
+        v = np.full_like(state.x, np.nan) if state.v is None else state.v
+        np.testing.assert_array_equal(mesh.point_data["v"], v)
+        np.testing.assert_array_equal(mesh.field_data["TimeValue"], [state.t])
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_vtk_reads_it_back_bitwise_and_its_tessellation_has_the_area(tmp_path, degree):
+    pyvista = pytest.importorskip("pyvista")
+    vtk = pytest.importorskip("vtk")
+    given = states(degree)
+    ec.save_series(tmp_path / "run.pvd", given)
+    reader = pyvista.get_reader(tmp_path / "run.pvd")
+    assert reader.time_values == [0.0, 1 / 3]
+    for state in given:
+        reader.set_active_time_value(state.t)
+        grid = reader.read()[0]
+        assert (np.asarray(grid.celltypes) == vtk.VTK_LAGRANGE_TRIANGLE).all()
+        np.testing.assert_array_equal(
+            grid.cells.reshape(len(state.space.cells), -1)[:, 1:], state.space.cells
+        )
+        np.testing.assert_array_equal(grid.points, state.x)
+        for name in NAMES:
+            np.testing.assert_array_equal(grid.point_data[name], state[name])
+        exact = ec.SurfaceSpace.from_nodes(state.space.nodes, state.space.cells, exactness=30)
+        area = exact.integrate(state.x, 1.0)
+        tessellated = []
+        for level in (3, 4):
+            surface = vtk.vtkDataSetSurfaceFilter()
+            surface.SetInputData(grid)
+            surface.SetNonlinearSubdivisionLevel(level)
+            surface.Update()
+            tessellated.append(pyvista.wrap(surface.GetOutput()).triangulate().area)
+        coarse, fine = tessellated  # errors of second order: a quarter from level to level
+        assert fine + (fine - coarse) / 3 == pytest.approx(area, rel=2e-5)  # VTK has floats inside
+        if degree > 1:
+            assert (fine - area) / (coarse - area) == pytest.approx(0.25, abs=0.02)
+
+
+def test_the_space_may_change_on_the_way(tmp_path):
+    given = [states(1)[0], *states(3)[1:]]
+    ec.save_series(tmp_path / "run.pvd", given)
+    for state, (_, name) in zip(given, entries(tmp_path / "run.pvd"), strict=True):
+        np.testing.assert_array_equal(meshio.read(tmp_path / name).cells[0].data, state.space.cells)
+
+
+def test_the_series_is_complete_after_each_state(tmp_path):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+
+    def watched():
+        for n, state in enumerate(ec.evolve(space, ec.problems.growing_sphere(), 2, 0.1, 0.5)):
+            if n:
+                listed = entries(tmp_path / "run.pvd")
+                assert len(listed) == n
+                assert all(len(meshio.read(tmp_path / name).points) for _, name in listed)
+            yield state
+
+    last = ec.save_series(tmp_path / "run.pvd", watched())
+    assert last.t == 0.5
+    assert sorted(os.listdir(tmp_path)) == ["run.pvd", *(f"run_{n:05d}.vtu" for n in range(6))]
+
+
+KILLED = """
+import os, signal, sys
+import esfem_core as ec
+space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+def kill(at):
+    if at.t > 0.42:
+        os.kill(os.getpid(), signal.SIGKILL)
+problem = ec.Problem(1.0, kill, motion=lambda p, t: p * (1 + t))
+ec.save_series(sys.argv[1], ec.evolve(space, problem, 2, 0.1, 1.0))
+"""
+
+
+def test_a_killed_run_leaves_a_series_that_can_be_read_and_gone_on_with(tmp_path):
+    path = tmp_path / "run.pvd"
+    environment = os.environ | {"PYTHONPATH": str(Path(ec.__file__).parents[1])}
+    killed = subprocess.run([sys.executable, "-c", KILLED, path], env=environment)
+    assert killed.returncode == -signal.SIGKILL
+    assert [t for t, _ in entries(path)] == [0.0, 0.1, 0.2, 0.3, 0.4]
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    problem = ec.Problem(1.0, motion=lambda p, t: p * (1 + t))
+    rest = list(ec.evolve(space, problem, 2, 0.1, 0.7))[3:]  # from 0.3 on
+    ec.save_series(path, rest, go_on=True)
+    assert [t for t, _ in entries(path)] == [n / 10 for n in range(8)]
+    for t, name in entries(path):
+        assert meshio.read(tmp_path / name).points.max() == pytest.approx(1 + t)
+
+
+def test_a_series_refuses_what_it_cannot_write(tmp_path):
+    first, second = states(2)
+    plain = ec.State(0.5, first.x, space=first.space)
+    for path, given, error, message in [
+        ("run.vtk", [first], ValueError, r'path must end with "\.pvd"'),
+        ("none/run.pvd", [first], FileNotFoundError, "does not exist; make it first"),
+        ("run.pvd", [], ValueError, "at least one state, got none"),
+        ("run.pvd", [3], TypeError, "a series holds states, got 3"),
+        ("run.pvd", [ec.State(0.0, first.x)], ValueError, "knows no space"),
+        ("run.pvd", [first, plain], ValueError, r"same functions, .* has none, the one before 'u'"),
+        ("run.pvd", [second, first], ValueError, "order of time, got 0.0 after"),
+        ("run.pvd", states(1, ["v"]), ValueError, "must not be called 'v'"),
+    ]:
+        with pytest.raises(error, match=message):
+            ec.save_series(tmp_path / path, given)
+    (tmp_path / "run.pvd").write_text("<VTKFile>")
+    with pytest.raises(ValueError, match=r"run\.pvd' is damaged, or no series"):
+        ec.save_series(tmp_path / "run.pvd", [first], go_on=True)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_nodal_normals_converge_with_the_order_of_the_elements(degree):
+    """On an ellipsoid, whose normals are known: gradients of interpolants have order k."""
+    axes, errors = np.array([1.5, 1.0, 0.8]), []
+    for refinements in (2, 3):
+        space = ec.SurfaceSpace(ec.sphere("icosahedron", refinements), degree, ec.to_unit_sphere)
+        exact = space.nodes / axes
+        exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+        errors.append(np.abs(nodal_normals(space, space.nodes * axes) - exact).max())
+    assert np.log2(errors[0] / errors[1]) > degree - 0.4
+
+
+class Row(NamedTuple):
+    t: float
+    steps: int
+    centre: np.ndarray
+    amounts: dict
+    missing: float | None = None
+
+
+def test_rows_are_read_back_with_all_digits(tmp_path):
+    rows = [
+        Row(n / 3, n, np.array([0.1, 1e-300, n / 7]), {"u": np.float64(n) / 9, "w": np.ones(2)})
+        for n in range(4)
+    ]
+    ec.save_table(tmp_path / "run.csv", iter(rows))
+    with (tmp_path / "run.csv").open(newline="", encoding="utf8") as file:
+        read = list(csv.DictReader(file))
+    assert list(read[0]) == [
+        "t", "steps", "centre_0", "centre_1", "centre_2", "amounts_u", "amounts_w_0",
+        "amounts_w_1", "missing",
+    ]  # fmt: skip
+    for row, line in zip(rows, read, strict=True):
+        assert float(line["t"]) == row.t
+        assert int(line["steps"]) == row.steps
+        assert [float(line[f"centre_{i}"]) for i in range(3)] == row.centre.tolist()
+        assert float(line["amounts_u"]) == row.amounts["u"]
+        assert line["missing"] == ""
+
+
+def test_a_table_is_complete_after_each_row_and_refuses_other_columns(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("old")
+    table = ec.TableWriter(path)
+    assert path.read_text() == "old"
+    table.write({"t": 0.5})
+    assert path.read_text() == "t\n0.5\n"
+    for row, error, message in [
+        ({"s": 1.0}, ValueError, "all rows must have the columns t; got s"),
+        ([1.0], TypeError, "a row must be a NamedTuple or a mapping"),
+        ({}, TypeError, "a row must be a NamedTuple or a mapping"),
+    ]:
+        with pytest.raises(error, match=message):
+            table.write(row)
+    assert path.read_text() == "t\n0.5\n"
+    with pytest.raises(ValueError, match="at least one row"):
+        ec.save_table(path, [])
