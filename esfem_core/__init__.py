@@ -3,7 +3,14 @@
 from esfem_core import errors, laws, problems, study
 from esfem_core.elements import DegenerateElementError, ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Species
-from esfem_core.output import SeriesWriter, TableWriter, save_series, save_table
+from esfem_core.output import (
+    SeriesWriter,
+    TableWriter,
+    animate,
+    plot,
+    save_series,
+    save_table,
+)
 from esfem_core.problems import Exact, Problem
 from esfem_core.solvers import DirectSolver, LaggedSolver
 from esfem_core.stepping import (
@@ -50,6 +57,7 @@ __all__ = [
     "Surface",
     "SurfaceSpace",
     "TableWriter",
+    "animate",
     "bdf",
     "check_triangulation",
     "defects",
@@ -64,6 +72,7 @@ __all__ = [
     "mesh_quality",
     "multipliers",
     "peano",
+    "plot",
     "problems",
     "project_to_level_set",
     "respaced",

@@ -1,6 +1,7 @@
 """What a person looks at: plots and moving surfaces; files for other programs."""
 
-from esfem_core.output.animation import surface_animation
+from esfem_core.output.animation import animate, surface_animation
+from esfem_core.output.pictures import plot
 from esfem_core.output.plotting import COLOURS, MARKERS, convergence_plot, style
 from esfem_core.output.series import SeriesWriter, TableWriter, save_series, save_table
 
@@ -9,7 +10,9 @@ __all__ = [
     "MARKERS",
     "SeriesWriter",
     "TableWriter",
+    "animate",
     "convergence_plot",
+    "plot",
     "save_series",
     "save_table",
     "style",

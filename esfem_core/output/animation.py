@@ -1,6 +1,7 @@
-"""Moving surfaces for notebooks.
+"""Moving surfaces: for notebooks and web pages with a time slider, or as films.
 
-plotly is needed (``pip install esfem-core[book]``); it is imported when a function is called.
+plotly is needed for the former, matplotlib for the latter (``pip install esfem-core[book]``); they
+are imported when a function is called.
 """
 
 from __future__ import annotations
@@ -8,17 +9,28 @@ from __future__ import annotations
 import html
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from esfem_core.checks import finite_array, whole_number
+from esfem_core.checks import Array, finite_array, output_path, whole_number
 from esfem_core.elements import SurfaceSpace, flat_triangles
+from esfem_core.output.pictures import (
+    PLAIN,
+    Values,
+    colour_range,
+    cube,
+    draw,
+    known_space,
+    nodal_values,
+)
+from esfem_core.stepping import State, write_whole
 from esfem_core.tables import Html
 
-__all__ = ["surface_animation"]
+__all__ = ["animate", "surface_animation"]
 
 Floats = NDArray[np.float32]  # seven digits are more than a picture shows
 Parts = dict[str, Any]  # of plotly's description of a picture
@@ -117,21 +129,157 @@ def surface_animation(
     >>> surface_animation(space, states, title="A growing sphere")
     A growing sphere: 2 frames, t = 0 to 0.5
     """
-    import plotly.graph_objects as go
-
-    play = _timing(whole_number("duration", duration, 1))
     shots, n = list(states), len(space.nodes)
     if not shots:
         raise ValueError("there is no state to draw")
-    nodes = np.array([finite_array("x", s.x, (n, 3)) for s in shots], np.float32)
+    nodes = [finite_array("x", s.x, (n, 3)) for s in shots]
     chosen = [s.u if values is None else values(s) for s in shots]
-    colours = np.array([finite_array("values", c, (n,)) for c in chosen], np.float32)
-    times = [f"{s.t:.4g}" for s in shots]
-    moving = [_moving_part(x, c) for x, c in zip(nodes, colours, strict=True)]
+    colours = [finite_array("values", c, (n,)) for c in chosen]
+    times = [s.t for s in shots]
+    return _page([space] * len(shots), times, nodes, colours, title, label, div_id, duration)
+
+
+def animate(
+    states: Iterable[State],
+    path: str | os.PathLike[str] | None = None,
+    values: Values = None,
+    *,
+    title: str = "",
+    label: str | None = None,
+    limits: tuple[float, float] | None = None,
+    duration: int = 80,
+) -> Html | Path:
+    """Show states as a moving surface, in a notebook, on a web page or as a film.
+
+    Camera and colours stay fixed in time; the space may change.
+
+    Parameters
+    ----------
+    states : iterable of State
+        One frame each, so thin out a run: ``itertools.islice(run, 0, None, 10)``.
+    path : path, optional
+        If not given, the picture with its time slider for a notebook is returned. Otherwise a file:
+        the same picture if it ends with ".html", a film if it ends with ".gif" or ".mp4".
+    values : str, callable or (N,) array, optional
+        As for :func:`esfem_core.plot`.
+    title, label : str
+        Below or above the picture, and at its colour bar.
+    limits : (float, float), optional
+        Values of the first and the last colour.
+    duration : int
+        Milliseconds per frame, positive.
+
+    Returns
+    -------
+    Html or Path
+        The picture, or the file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `path` ends otherwise, there is no state, one knows no space or has no such values.
+    FileNotFoundError
+        If the directory does not exist.
+    ImportError
+        If ".mp4" is asked for and there is no ffmpeg, with which matplotlib makes it.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    >>> ec.animate(ec.evolve(space, ec.problems.growing_sphere(), 2, 0.1, 0.5), title="Growth")
+    Growth: 6 frames, t = 0 to 0.5
+    """
+    file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
+    whole_number("duration", duration, 1)
+    shots = [states] if isinstance(states, State) else list(states)
+    if not shots:
+        raise ValueError("there is no state to draw")
+    spaces = [known_space(s, f"states[{i}]") for i, s in enumerate(shots)]
+    named = [nodal_values(s, values) for s in shots]
+    label = named[0][0] if label is None else label
+    if file is not None and file.suffix.lower() != ".html":
+        return _film(file, spaces, shots, [c for _, c in named], title, label, limits, duration)
+    colours = [
+        np.zeros(len(s.x)) if c is None else c for s, (_, c) in zip(shots, named, strict=True)
+    ]
+    times, nodes = [s.t for s in shots], [s.x for s in shots]
+    name = "esfem-animation" if file is None else file.stem
+    plain = named[0][1] is None
+    page = _page(spaces, times, nodes, colours, title, label, name, duration, limits, plain=plain)
+    if file is None:
+        return page
+    text = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'
+    write_whole(file, f"{text}</title></head><body>{page.text}</body></html>\n".encode())
+    return file
+
+
+def _film(
+    file: Path,
+    spaces: Sequence[SurfaceSpace],
+    shots: Sequence[State],
+    colours: Sequence[Array | None],
+    title: str,
+    label: str,
+    limits: tuple[float, float] | None,
+    duration: int,
+) -> Path:
+    """Frame by frame with matplotlib."""
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    writer: Any = FFMpegWriter if file.suffix.lower() == ".mp4" else PillowWriter
+    if not writer.isAvailable():
+        raise ImportError(
+            'a film that ends with ".mp4" needs the program ffmpeg; ".gif" and ".html" do without'
+        )
+    figure = Figure(figsize=(6, 5))
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot(projection="3d")
+    shades, room = colour_range(colours, limits), cube([s.x for s in shots])
+
+    def frame(i: int) -> Any:
+        ax.clear()
+        ax.set_title(f"{title}   t = {shots[i].t:.4g}".strip())
+        return draw(ax, spaces[i], shots[i].x, colours[i], shades, room)
+
+    if (scale := frame(0)) is not None:
+        figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
+    film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
+    film.save(file, writer=writer(fps=1000 / duration))
+    return file
+
+
+def _page(
+    spaces: Sequence[SurfaceSpace],
+    times: Sequence[float],
+    nodes: Sequence[Array],
+    colours: Sequence[Array],
+    title: str,
+    label: str,
+    div_id: str,
+    duration: int,
+    limits: tuple[float, float] | None = None,
+    *,
+    plain: bool = False,
+) -> Html:
+    """The picture with a time slider; each element is drawn as k² flat triangles."""
+    import plotly.graph_objects as go
+
+    play = _timing(whole_number("duration", duration, 1))
+    names = [f"{t:.4g}" for t in times]
+    moving = [
+        _moving_part(x.astype(np.float32), c.astype(np.float32))
+        for x, c in zip(nodes, colours, strict=True)
+    ]
+    if any(space is not spaces[0] for space in spaces):
+        moving = [part | _triangles(space) for part, space in zip(moving, spaces, strict=True)]
+    fixed = _fixed_part(colour_range(colours, limits), label, plain)
     figure = go.Figure(
-        data=[moving[0] | _fixed_part(space, colours, label)],
-        layout=LAYOUT | {"scene": _scene(nodes)} | _controls(times, play),
-        frames=[{"name": t, "data": [part]} for t, part in zip(times, moving, strict=True)],
+        data=[moving[0] | _triangles(spaces[0]) | fixed],
+        layout=LAYOUT | {"scene": _scene(nodes)} | _controls(names, play),
+        frames=[{"name": t, "data": [part]} for t, part in zip(names, moving, strict=True)],
     )
     body = figure.to_html(
         full_html=False,
@@ -143,7 +291,7 @@ def surface_animation(
     )
     caption = f"<figcaption>{html.escape(title)}</figcaption>" if title else ""
     text = f'<figure class="esfem-animation">{body}{caption}</figure>'
-    return Html(text, f"{title or 'animation'}: {len(shots)} frames, t = {times[0]} to {times[-1]}")
+    return Html(text, f"{title or 'animation'}: {len(names)} frames, t = {names[0]} to {names[-1]}")
 
 
 def _moving_part(x: Floats, colours: Floats) -> Parts:
@@ -151,24 +299,27 @@ def _moving_part(x: Floats, colours: Floats) -> Parts:
     return {"type": "mesh3d", "x": x[:, 0], "y": x[:, 1], "z": x[:, 2], "intensity": colours}
 
 
-def _fixed_part(space: SurfaceSpace, colours: Floats, label: str) -> Parts:
-    """Triangles, colours and light."""
+def _triangles(space: SurfaceSpace) -> Parts:
     i, j, k = flat_triangles(space.cells, space.degree).astype(np.int32).T
-    triangles = {"i": i, "j": j, "k": k}
-    colour_range = {"cmin": float(colours.min()), "cmax": float(colours.max())}
+    return {"i": i, "j": j, "k": k}
+
+
+def _fixed_part(shades: tuple[float, float], label: str, plain: bool) -> Parts:
+    """Colours and light."""
     text = {
         "hovertemplate": f"{label} = %{{intensity:.4g}}<extra></extra>",
         "colorbar": {"title": {"text": label, "side": "top"}} | COLOUR_BAR,
     }
-    return triangles | colour_range | SURFACE | text
+    one_colour = {"colorscale": [[0, PLAIN], [1, PLAIN]], "showscale": False, "hoverinfo": "skip"}
+    shown = {"cmin": shades[0], "cmax": shades[1]} | SURFACE
+    return shown | (one_colour if plain else text)
 
 
-def _scene(nodes: Floats) -> Parts:
+def _scene(nodes: Sequence[Array]) -> Parts:
     """A cube with room for the surface at all times."""
-    centre = (nodes.min(axis=(0, 1)) + nodes.max(axis=(0, 1))) / 2
-    reach = 1.02 * float(np.abs(nodes - centre).max())
+    centre, reach = cube(nodes)
     axes = {
-        f"{name}axis": AXIS | {"range": [middle - reach, middle + reach]}
+        f"{name}axis": AXIS | {"range": [middle - 1.02 * reach, middle + 1.02 * reach]}
         for name, middle in zip("xyz", centre.tolist(), strict=True)
     }
     return axes | SCENE

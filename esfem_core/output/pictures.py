@@ -1,0 +1,196 @@
+"""Pictures of a surface with a function on it.
+
+matplotlib is needed (``pip install esfem-core[book]``); it is imported when a function is called,
+so that the solver does not depend on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.elements import SurfaceSpace
+from esfem_core.output.curved import refined
+from esfem_core.stepping import State, check_state
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = [
+    "PLAIN",
+    "Values",
+    "colour_range",
+    "cube",
+    "draw",
+    "known_space",
+    "nodal_values",
+    "plot",
+]
+
+Values = str | Callable[[State], ArrayLike] | ArrayLike | None
+Cube = tuple[Array, float]  # centre, and half the length of a side
+
+TRIANGLES = 20_000  # about so many are drawn, if the elements are not more
+PIECES = 12  # of a side of an element, at most
+LIGHT = {"azdeg": 315, "altdeg": 45}  # where the lamp is
+PLAIN = "#9ecae1"  # colour of a surface without a function
+
+
+def plot(
+    state: State,
+    values: Values = None,
+    *,
+    ax: Axes3D | None = None,
+    title: str | None = None,
+    label: str | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Axes3D:
+    """Draw the surface of a state, coloured by a function, with curved elements drawn curved.
+
+    Parameters
+    ----------
+    state : State
+        Of a run: one that knows its space.
+    values : str, callable or (N,) array, optional
+        The name of a function of the state with one component; a function of the state that returns
+        nodal values; or those. If not given, "u", or the only function there is.
+    ax : matplotlib axes of three dimensions, optional
+        To draw into; if not given, those of a new figure.
+    title : str, optional
+        The time, if not given.
+    label : str, optional
+        At the colour bar; the name of the function, if not given.
+    limits : (float, float), optional
+        Values of the first and the last colour; the smallest and the largest one, if not given.
+
+    Returns
+    -------
+    matplotlib axes
+        ``ax.figure.savefig("surface.png")`` makes a file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is no state that knows its space, or there are no such values.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> ax = ec.plot(ec.State(0.5, space.nodes, None, space.nodes[:, 2], space=space))
+    >>> ax.get_title()
+    't = 0.5'
+    """
+    space = known_space(state)
+    name, colours = nodal_values(state, values)
+    shades = colour_range([colours], limits)
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.figure(figsize=(6, 5)).add_subplot(projection="3d")
+    elif not hasattr(ax, "add_collection3d"):
+        raise TypeError(
+            'ax must have three dimensions, fig.add_subplot(projection="3d"), got '
+            f"{type(ax).__name__}"
+        )
+    scale = draw(ax, space, state.x, colours, shades, cube([state.x]))
+    ax.set_title(f"t = {state.t:.4g}" if title is None else title)
+    if scale is not None:
+        label = name if label is None else label
+        ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
+    return ax
+
+
+def draw(
+    ax: Axes3D,
+    space: SurfaceSpace,
+    x: Array,
+    colours: Array | None,
+    shades: tuple[float, float],
+    room: Cube,
+) -> Any:
+    """Draw a surface into axes; returns its colour scale, or None."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LightSource, Normalize, to_rgba
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    pieces = int(np.clip(np.sqrt(TRIANGLES / len(space.cells)), space.degree, PIECES))
+    basis, triangles = refined(space, pieces)
+    corners = (basis @ x[space.cells]).reshape(-1, 3)[triangles]
+    scale = None
+    faces: Any = np.tile(to_rgba(PLAIN), (len(triangles), 1))
+    if colours is not None:
+        scale = ScalarMappable(Normalize(*shades), colormaps["viridis"])
+        at_points = (basis @ colours[space.cells][..., None]).ravel()
+        faces = scale.to_rgba(at_points[triangles].mean(axis=1))
+    # Edges of the faces' colours close the hairlines that antialiasing leaves between faces.
+    surface = Poly3DCollection(
+        corners, facecolors=faces, edgecolors=faces, linewidths=0.3, shade=True,
+        lightsource=LightSource(**LIGHT),
+    )  # fmt: skip
+    surface.set_rasterized(True)  # thousands of polygons would make a vector file slow
+    ax.add_collection3d(surface)
+    centre, reach = room
+    for axis, middle in zip("xyz", centre.tolist(), strict=True):
+        ax.set(**{f"{axis}lim": (middle - reach, middle + reach)})
+    ax.set_box_aspect((1, 1, 1))
+    return scale
+
+
+def known_space(state: object, name: str = "state") -> SurfaceSpace:
+    """The space of a state; refuses what is none."""
+    if not isinstance(state, State):
+        raise TypeError(f"{name} must be a State, got {shown(state)}")
+    if state.space is None:
+        raise ValueError(f"{name} knows no space: State(..., space=space)")
+    check_state(state.space, state, name)
+    return state.space
+
+
+def nodal_values(state: State, values: Values) -> tuple[str, Array | None]:
+    """Name and nodal values, (N,), of the function to draw; None if the state has no function."""
+    if values is None:
+        if not state.fields:
+            return "", None
+        values = "u" if "u" in state.fields or len(state.fields) > 1 else next(iter(state.fields))
+    name, chosen = "", values
+    if isinstance(values, str):
+        if values not in state.fields:
+            known = ", ".join(map(repr, state.fields)) or "none"
+            raise ValueError(f"values must name a function of the state ({known}), got {values!r}")
+        name, chosen = values, state[values]
+        if chosen.ndim > 1:
+            raise ValueError(
+                f"{values!r} has {chosen.shape[1]} components: draw one of them, such as "
+                f"values=lambda state: state[{values!r}][:, 0]"
+            )
+    elif callable(values):
+        chosen = values(state)
+    return name, finite_array("values", chosen, (len(state.x),))  # type: ignore[arg-type]
+
+
+def colour_range(
+    colours: Sequence[Array | None], limits: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """Values of the first and the last colour."""
+    if limits is not None:
+        if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
+            raise ValueError(f"limits must be a pair (lowest, highest), got {shown(limits)}")
+        lowest = number("limits[0]", limits[0])
+        return lowest, number("limits[1]", limits[1], above=lowest)
+    drawn = [c for c in colours if c is not None]
+    return min((float(c.min()) for c in drawn), default=0.0), max(
+        (float(c.max()) for c in drawn), default=1.0
+    )
+
+
+def cube(positions: Sequence[Array]) -> Cube:
+    """A cube with room for all positions."""
+    low = np.min([x.min(axis=0) for x in positions], axis=0)
+    high = np.max([x.max(axis=0) for x in positions], axis=0)
+    return (low + high) / 2, float((high - low).max()) / 2

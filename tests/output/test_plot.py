@@ -1,0 +1,169 @@
+"""Pictures and films of surfaces: what is drawn where, and what is refused."""
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import art3d
+from PIL import Image
+
+import esfem_core as ec
+from esfem_core.output.curved import refined
+
+
+def state(degree=2, refinements=1, t=0.5, **fields):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), degree, ec.to_unit_sphere)
+    x = space.nodes
+    return ec.State(t, (1 + t) * x, None, x[:, 2], space=space, fields=fields)
+
+
+@pytest.fixture
+def ax():
+    return Figure().add_subplot(projection="3d")
+
+
+def image(figure):
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("pieces", [1, 3, 7])
+def test_refined_elements_lie_on_the_curved_surface_and_cover_it(degree, pieces):
+    space = state(degree).space
+    basis, triangles = refined(space, pieces)
+    points = (basis @ space.nodes[space.cells]).reshape(-1, 3)
+    assert triangles.shape == (len(space.cells) * pieces**2, 3)
+    a, b, c = points[triangles].swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
+    assert ((normal * (a + b + c)).sum(axis=1) > 0).all()  # oriented as the elements are
+    exact = ec.SurfaceSpace.from_nodes(space.nodes, space.cells, 20).integrate(space.nodes, 1)
+    area = np.linalg.norm(normal, axis=1).sum() / 2
+    assert area == pytest.approx(exact, rel=1e-12 if degree == 1 else 0.35 / pieces**2)
+
+
+def test_curved_elements_are_drawn_curved(ax, monkeypatch):
+    """Eight quartic elements make a sphere, and not an octahedron."""
+    given, seen = state(4, 0, t=0.0), []
+
+    class Polygons(art3d.Poly3DCollection):
+        def __init__(self, corners, **options):
+            seen.append(corners)
+            super().__init__(corners, **options)
+
+    monkeypatch.setattr(art3d, "Poly3DCollection", Polygons)
+    ec.plot(given, ax=ax)
+    [corners] = seen
+    assert corners.shape == (12**2 * 8, 3, 3)
+    assert np.linalg.norm(corners, axis=2).min() > 0.97
+    assert ax.get_xlim()[1] == pytest.approx(1, abs=0.1)
+
+
+def test_colours_are_those_of_the_function_in_the_light(ax):
+    ec.plot(state(), ax=ax, limits=(-2, 2), title="A sphere", label="height")
+    assert ax.get_title() == "A sphere"
+    bar = ax.figure.axes[1]
+    assert bar.get_ylabel() == "height"
+    assert bar.get_ylim() == (-2, 2)
+    faces = ax.collections[0].get_facecolor()
+    assert len(np.unique(faces, axis=0)) > 100
+    other = Figure().add_subplot(projection="3d")
+    ec.plot(state(), "u", ax=other)
+    assert other.figure.axes[1].get_ylabel() == "u"
+    assert other.get_title() == "t = 0.5"
+    assert (image(ax.figure) != image(other.figure)).any()
+
+
+def test_values_are_a_name_a_function_of_the_state_or_numbers():
+    given = state(w=np.arange(66.0))
+    pictures = []
+    for values in ("w", lambda s: s["w"], given["w"]):
+        axes = Figure().add_subplot(projection="3d")
+        ec.plot(given, values, ax=axes, label="")
+        pictures.append(image(axes.figure))
+    assert (pictures[0] == pictures[1]).all()
+    assert (pictures[0] == pictures[2]).all()
+
+
+def test_a_surface_without_a_function_has_one_colour_and_no_bar(ax):
+    given = state()
+    ec.plot(ec.State(0.0, given.x, space=given.space), ax=ax)
+    assert len(ax.figure.axes) == 1
+
+
+def test_plot_makes_a_figure_of_its_own():
+    from matplotlib import pyplot
+
+    ax = ec.plot(state())
+    assert pyplot.get_fignums() != []
+    pyplot.close(ax.figure)
+
+
+def test_plot_refuses_what_it_cannot_draw(ax):
+    given = state(pair=np.ones((66, 2)))
+    for arguments, error, message in [
+        ((1,), TypeError, "state must be a State, got 1"),
+        ((ec.State(0.0, given.x),), ValueError, "knows no space"),
+        ((given, "w"), ValueError, r"a function of the state \('pair', 'u'\), got 'w'"),
+        ((given, "pair"), ValueError, r"'pair' has 2 components.*state\['pair'\]\[:, 0\]"),
+        ((given, np.ones(3)), ValueError, r"values must have shape \(66,\), got \(3,\)"),
+        ((given, lambda s: s.x), ValueError, r"values must have shape \(66,\), got \(66, 3\)"),
+    ]:
+        with pytest.raises(error, match=message):
+            ec.plot(*arguments, ax=ax)
+    with pytest.raises(ValueError, match=r"limits\[1\] must be a finite number > 1, got 0"):
+        ec.plot(given, ax=ax, limits=(1, 0))
+    with pytest.raises(TypeError, match="ax must have three dimensions"):
+        ec.plot(given, ax=Figure().add_subplot())
+
+
+def test_animate_returns_the_page_with_a_slider(monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    shown = ec.animate((state(t=t) for t in (0.0, 0.5)), title="Growth")
+    assert repr(shown) == "Growth: 2 frames, t = 0 to 0.5"
+    assert '"text":"u"' in shown.text
+
+
+def test_animate_follows_a_space_that_changes(monkeypatch, tmp_path):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    same = state(t=0.0)
+    one = ec.animate([same, ec.State(1.0, same.x, None, same.u, space=same.space)]).text
+    two = ec.animate([same, state(3, t=1.0)]).text
+    assert one.count('"i":') == 1  # the triangles once
+    assert two.count('"i":') == 3  # and with each frame
+    ec.animate([same, state(3, t=1.0)], tmp_path / "film.gif")
+
+
+def test_animate_writes_pages_and_films(tmp_path, monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    frames = [state(refinements=0, t=t) for t in (0.0, 0.5, 1.0)]
+    page = ec.animate(frames, tmp_path / "film.html", title="a < b")
+    text = page.read_text("utf8")
+    assert text.startswith("<!doctype html>")
+    assert "<title>a &lt; b</title>" in text
+    film = ec.animate(frames, tmp_path / "film.gif", "u", title="a < b", duration=200)
+    with Image.open(film) as picture:
+        assert picture.n_frames == 3
+        assert picture.info["duration"] == 200
+    plain = [ec.State(s.t, s.x, space=s.space) for s in frames]
+    assert ec.animate(plain, tmp_path / "plain.gif").exists()
+    assert '"showscale":false' in ec.animate(plain).text
+
+
+def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
+    given = state()
+    for arguments, error, message in [
+        (([],), ValueError, "no state to draw"),
+        (([given, 1],), TypeError, r"states\[1\] must be a State, got 1"),
+        (([given], tmp_path / "film.avi"), ValueError, r'"\.html" or "\.gif" or "\.mp4", got'),
+        (([given], tmp_path / "none" / "film.gif"), FileNotFoundError, "does not exist"),
+    ]:
+        with pytest.raises(error, match=message):
+            ec.animate(*arguments)
+    with pytest.raises(ValueError, match="duration must be an integer >= 1"):
+        ec.animate([given], duration=0)
+    monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
+    with pytest.raises(ImportError, match="needs the program ffmpeg"):
+        ec.animate([given], tmp_path / "film.mp4")
+    assert list(tmp_path.iterdir()) == []
