@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, number, output_path, shown, whole_number
+from esfem_core.checks import Array, number, one_of, output_path, shown, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import combine
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
-from esfem_core.stepping.state import State, check_state
+from esfem_core.stepping.scheme import Mass
+from esfem_core.stepping.state import Method, State, check_state
 from esfem_core.stepping.times import later
 
 __all__ = ["load", "respaced", "save", "saving"]
@@ -222,7 +223,25 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
             f"step {step:g}, but the first is of t = {given[0].t:g}: give more of the last states, "
             "or take a smaller step"
         )
-    return [_at_time(space, given, t, step, nearest) for t in reversed(times)]
+    found = [_at_time(space, given, t, step, nearest) for t in reversed(times)]
+    return [_for_step(state, given[-1].method, p, step) for state in found]
+
+
+def _for_step(state: State, method: Method | None, order: int | None, step: float) -> State:
+    """The state, its products belonging to the method with another step."""
+    if method is not None:
+        method = (method[0], order or method[1], step)
+    if not state.products or state.method == method:
+        return state
+    return State(
+        state.t,
+        state.x,
+        state.v,
+        space=state.space,
+        fields=state.fields,
+        products=state.products,
+        method=method,
+    )
 
 
 def _at_time(
@@ -321,7 +340,8 @@ def _write(path: Path, space: SurfaceSpace, states: Sequence[State]) -> None:
     listed = []
     for i, state in enumerate(states):
         names = {"fields": list(state.fields), "products": list(state.products)}
-        listed.append({"t": state.t, "v": state.v is not None, **names})
+        known = {"t": state.t, "v": state.v is not None, "method": state.method}
+        listed.append({**known, **names})
         arrays[f"{i}/x"] = state.x
         if state.v is not None:
             arrays[f"{i}/v"] = state.v
@@ -351,6 +371,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return header, arrays
 
 
+def _method(mass: str, order: int, step: float) -> Method:
+    return one_of("mass", mass, Mass), whole_number("order", order, 1), number("step", step)
+
+
 def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpace, list[State]]:
     """Space and states, checked like those of a user."""
     for name, shape in header["shapes"].items():
@@ -367,6 +391,9 @@ def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpa
         )
         v = arrays[f"{i}/v"] if one["v"] else None
         x = arrays[f"{i}/x"]
-        states.append(State(one["t"], x, v, space=space, fields=fields, products=products))
+        method = None if one["method"] is None else _method(*one["method"])
+        states.append(
+            State(one["t"], x, v, space=space, fields=fields, products=products, method=method)
+        )
     _space_of(states)
     return space, states

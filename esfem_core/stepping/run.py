@@ -166,7 +166,6 @@ def evolve(
     one_of("mass", mass, Mass)
     if growth != np.inf:
         number("growth", growth, above=1)
-    number("growth", growth, above=1)
     every = whole_number("every", every, 1)
     file = None if save is None else output_path("save", save, (".npz",))
     make_solver = _solver_factory(space, solver)
