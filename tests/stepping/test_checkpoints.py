@@ -431,7 +431,8 @@ def test_the_same_step_gives_the_same_states():
     made = ec.respaced(states, 0.05)
     assert all(one is other for one, other in zip(made, states[-6:], strict=True))
     twice = ec.respaced(states, 0.1, order=3)
-    assert all(one is other for one, other in zip(twice, states[-5::2], strict=True))
+    assert all(one.x is other.x for one, other in zip(twice, states[-5::2], strict=True))
+    assert twice[-1].method == ("updated", 3, 0.1)  # whose products these are now
 
 
 def test_respaced_says_how_far_the_states_must_reach_back():
