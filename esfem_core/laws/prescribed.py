@@ -84,8 +84,16 @@ class Prescribed(Law):
         assert field is not None
 
         def rate(time: float, flat: Array) -> Array:
-            v = field(flat.reshape(nodes.shape), time)
-            return real_array("velocity(x, t)", v, nodes.shape).ravel()
+            here = flat.reshape(nodes.shape)
+            v = real_array("velocity(x, t)", field(here, time), nodes.shape)
+            finite = np.isfinite(v).all(axis=1)
+            if not finite.all():  # the integrator would try smaller and smaller steps
+                node = int(np.argmin(finite))
+                where = np.array2string(here[node], precision=4)
+                raise FloatingPointError(
+                    f"velocity(x, t) is not finite at node {node} near {where} at t = {time:.6g}"
+                )
+            return v.ravel()
 
         size = float(np.abs(x).max())
         flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
