@@ -176,6 +176,8 @@ class Problem:
             _refuse(
                 "law is given: write it into the law", g=g, alpha=alpha, beta=beta, motion=motion
             )
+            if isinstance(law, type):
+                raise TypeError(f"law must be an object, not a class: write {law.__name__}(...)")
         elif motion is not None:
             _refuse(
                 "it belongs to a velocity law, but the motion is prescribed",
