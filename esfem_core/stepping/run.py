@@ -146,7 +146,8 @@ def evolve(
     EvolutionWarning
         If `save` cannot be written; the run goes on, and an older file is untouched.
         Once, where an angle falls below one degree or values have grown by a factor of 1e6: the run
-        will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more.
+        will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more, or
+        with p = 4 or more, which is unstable.
 
     Examples
     --------
@@ -171,7 +172,7 @@ def evolve(
     make_solver = _solver_factory(space, solver)
     given = _checked_start(space, problem, start, order, step)
     n_steps = _steps_after_start(given, order, step, end)
-    _check_law(space, problem)
+    _check_law(space, problem, order)
     systems = Systems(make_solver, space.pattern, statistics or Statistics())
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
@@ -291,7 +292,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
     return n_steps
 
 
-def _check_law(space: SurfaceSpace, problem: Problem) -> None:
+def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
     law = problem.law
     if hasattr(law, "position"):
         x: Array = law.position(space.nodes, 0.0, (0.0, space.nodes))
@@ -304,7 +305,16 @@ def _check_law(space: SurfaceSpace, problem: Problem) -> None:
                 f"{x[worst].tolist()} for the node p = {space.nodes[worst].tolist()}; a velocity "
                 "goes into laws.Prescribed(velocity=v)"
             )
-    elif isinstance(law, Regularised) and law.alpha == 0 < law.beta and space.degree > 1:
+    elif not (isinstance(law, Regularised) and law.alpha == 0 < law.beta):
+        return
+    elif order > 3:  # delta(z) + kappa (1 - z)^p has roots in the unit disk
+        warnings.warn(
+            f"alpha = 0 with beta > 0 is unstable for p = {order}: nodes move along the surface "
+            "until elements turn over; take p <= 3 or alpha > 0",
+            EvolutionWarning,
+            stacklevel=3,
+        )
+    elif space.degree > 1:
         warnings.warn(
             "alpha = 0 with beta > 0 (mean curvature flow by Dziuk's scheme) is outside the "
             f"theory: elements of degree {space.degree} lose two orders except on spheres",
