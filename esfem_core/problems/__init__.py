@@ -2,7 +2,13 @@
 
 from esfem_core.problems.prescribed import Evaluation, Solution, baseball_bat, oscillating_ellipsoid
 from esfem_core.problems.problem import Exact, Problem
-from esfem_core.problems.spheres import Coupling, expanding_sphere, growing_sphere, shrinking_sphere
+from esfem_core.problems.spheres import (
+    Coupling,
+    expanding_sphere,
+    growing_sphere,
+    logistic_sphere,
+    shrinking_sphere,
+)
 
 __all__ = [
     "Coupling",
@@ -13,6 +19,7 @@ __all__ = [
     "baseball_bat",
     "expanding_sphere",
     "growing_sphere",
+    "logistic_sphere",
     "oscillating_ellipsoid",
     "shrinking_sphere",
 ]

@@ -1,4 +1,4 @@
-"""Spheres of radius r(t) with exact solutions: [N] 7.3, and two that reduce to one equation."""
+"""Spheres of radius r(t) with exact solutions: two are forced, two solve one equation."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -8,12 +8,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
-from esfem_core.checks import Array, one_of
+from esfem_core.checks import Array, number, one_of
 from esfem_core.elements import Surface
 from esfem_core.problems.problem import Exact, Problem
 from esfem_core.surfaces import to_unit_sphere
 
-__all__ = ["Coupling", "expanding_sphere", "growing_sphere", "shrinking_sphere"]
+__all__ = [
+    "Coupling",
+    "expanding_sphere",
+    "growing_sphere",
+    "logistic_sphere",
+    "shrinking_sphere",
+]
 
 Coupling = Literal["smooth", "printed", "none"]
 
@@ -78,6 +84,89 @@ def expanding_sphere(
         u0=lambda x: exact_u(x, 0.0),
         f=f,
         g=couplings[coupling],
+        alpha=alpha,
+        beta=beta,
+        exact=_exact_sphere(r, dr, exact_u),
+    )
+
+
+def logistic_sphere(
+    alpha: float = 1.0,
+    beta: float = 0.0,
+    delta: float = 0.4,
+    limit: float = 2.0,
+    rate: float = 0.5,
+) -> Problem:
+    r"""A sphere that grows logistically, driven by u = exp(-6t) x1 x2, with forcing.
+
+    A benchmark of Kovács, Li, Lubich and Power Guerra (2017). The radius solves
+    r' = k r (1 - r/R), hence r(t) = R/(R exp(-kt) + 1 - exp(-kt)) from r(0) = 1 to the limit R, and
+    the points move along the normals, v = r' x/r. With x1 x2 homogeneous of degree 2 and an
+    eigenfunction of the Laplace-Beltrami operator for -6/r^2::
+
+        u'    = (-6 + 2 r'/r) u
+        div v = 2 r'/r
+        lap u = -6/r^2 u
+
+    so that f = u' + u div v - lap u = (4 r'/r - 6 + 6/r^2) exp(-6t) x1 x2. On the solution,
+    v - alpha lap v + beta H nu = c nu with c = r' + 2 alpha r'/r^2 + 2 beta/r, and with
+    g = c + delta (u - exp(-6t) x1 x2) the velocity depends on u.
+
+    Parameters
+    ----------
+    alpha, beta : float
+        As for :class:`Problem`.
+    delta : float
+        How strongly u drives the surface; 0 for a surface that does not see u.
+    limit, rate : float
+        R > 0 and k > 0 of the logistic equation; R < 1 makes the sphere shrink.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> problem = ec.problems.logistic_sphere()
+    >>> *_, last = ec.evolve(space, problem, order=3, step=1 / 40, end=1.0)
+    >>> e = ec.errors.compare(space, problem, last)
+    >>> print(f"{np.linalg.norm(last.x, axis=1).max():.4f} {e.x_l2:.0e} {e.u_l2:.0e}")
+    1.2449 5e-05 1e-05
+    """
+    number("delta", delta)
+    number("limit", limit, above=0)
+    number("rate", rate, above=0)
+
+    def r(t: float) -> float:
+        decay = float(np.exp(-rate * t))
+        return limit / (limit * decay + 1 - decay)
+
+    def dr(t: float) -> float:
+        return rate * r(t) * (1 - r(t) / limit)
+
+    def exact_u(x: Array, t: float) -> Array:
+        return float(np.exp(-6 * t)) * x[..., 0] * x[..., 1]
+
+    def f(at: Surface) -> Array:
+        size = r(at.t)
+        return (4 * dr(at.t) / size - 6 + 6 / size**2) * exact_u(at.points, at.t)
+
+    def g(at: Surface) -> Array:
+        size, speed = r(at.t), dr(at.t)
+        c = speed + 2 * alpha * speed / size**2 + 2 * beta / size
+        return c + delta * (at.u - exact_u(at.points, at.t))
+
+    return Problem(
+        u0=lambda x: exact_u(x, 0.0),
+        f=f,
+        g=g,
         alpha=alpha,
         beta=beta,
         exact=_exact_sphere(r, dr, exact_u),
