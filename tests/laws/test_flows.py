@@ -1,0 +1,139 @@
+"""A prescribed motion by positions or by a velocity field."""
+
+import numpy as np
+import pytest
+from manufactured import FLOW, MovingSurface, numeric, torus_space
+
+import esfem_core as ec
+
+SPACE = torus_space(2, 10, 4)
+
+
+def diffusion(start=None, **law):
+    return ec.Problem(
+        species={
+            "u": ec.Species(lambda x: 2 + x[:, 0] * x[:, 1], lambda at: np.sin(at.points[..., 2]))
+        },
+        law=ec.laws.Prescribed(**law),
+        exact=start,
+    )
+
+
+def test_the_flow_of_these_tests_is_its_own_inverse_backwards():
+    assert FLOW.inverse_is_one()
+
+
+def test_the_flow_of_these_tests_is_neither_rigid_nor_normal():
+    """Tangential speeds and a divergence that are as large as the normal speed."""
+    surface = MovingSurface()
+    v, n = FLOW.velocity_field, numeric(surface.normal)
+    divergence = numeric(surface.divergence(FLOW.velocity))
+    x = FLOW.motion(SPACE.nodes, 0.3)
+    normal_speed = np.sum(v(x, 0.3) * n(x, 0.3), axis=1)
+    tangential = v(x, 0.3) - normal_speed[:, None] * n(x, 0.3)
+    assert np.abs(normal_speed).max() > 0.1
+    assert np.linalg.norm(tangential, axis=1).max() > 0.1
+    assert np.ptp(divergence(x, 0.3)) > 0.1
+
+
+@pytest.mark.parametrize("p", [1, 2, 4])
+@pytest.mark.parametrize("start", ["euler", "states"])
+def test_a_velocity_field_and_its_flow_are_the_same(p, start):
+    flow = diffusion(motion=FLOW.motion)
+    field = diffusion(velocity=FLOW.velocity_field)
+    if start == "states":
+        given = list(ec.evolve(SPACE, flow, p, 1 / 20, (p - 1) / 20, solver="direct"))
+    else:
+        given = "euler"
+    runs = [
+        list(ec.evolve(SPACE, one, p, 1 / 20, 0.5, start=given, solver="direct"))
+        for one in (flow, field)
+    ]
+    for a, b in zip(*runs, strict=True):
+        assert a.t == b.t
+        for name in ("x", "u", "v"):
+            one, other = getattr(a, name), getattr(b, name)
+            if one is not None:
+                np.testing.assert_allclose(other, one, rtol=0, atol=1e-9 * np.abs(one).max())
+
+
+def test_velocities_are_difference_quotients_of_the_positions():
+    """Of order p: the scheme's velocity is the field's at the nodes, up to the temporal error."""
+    problem = diffusion(velocity=FLOW.velocity_field)
+    for p in (1, 2, 3):
+        *states, last = ec.evolve(SPACE, problem, p, 1 / 40, 0.5)
+        chain = [last, *reversed(states)][: p + 1]
+        quotient = 40 * sum(d * s.x for d, s in zip(ec.bdf.delta(p), chain, strict=True))
+        np.testing.assert_allclose(last.v, quotient, rtol=0, atol=1e-12)
+        error = np.abs(last.v - FLOW.velocity_field(last.x, last.t)).max()
+        assert error < 2 * (1 / 40) ** p
+
+
+def test_a_motion_that_does_not_start_on_the_surface_is_refused_with_advice():
+    """A velocity given as a motion, above all."""
+    message = (
+        r"motion must start on the surface, X\(p, 0\) = p, but X\(p, 0\) = .* for the node p = .*; "
+        r"a velocity goes into laws.Prescribed\(velocity=v\)"
+    )
+    for wrong in (FLOW.velocity_field, lambda p, t: (1 + 1e-6) * p, lambda p, t: p + np.nan):
+        with pytest.raises(ValueError, match=message):
+            ec.evolve(SPACE, diffusion(motion=wrong), 1, 0.1, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("law", "error", "message"),
+    [
+        ({}, ValueError, "exactly one of motion and velocity must be given"),
+        ({"motion": lambda p, t: p, "velocity": lambda x, t: x}, ValueError, "exactly one of"),
+        ({"motion": 1.0}, TypeError, "motion must be a function or None, got 1.0"),
+        ({"velocity": "up"}, TypeError, "velocity must be a function or None, got 'up'"),
+    ],
+)
+def test_refused_laws(law, error, message):
+    with pytest.raises(error, match=message):
+        ec.laws.Prescribed(**law)
+
+
+@pytest.mark.parametrize(
+    ("law", "error", "message"),
+    [
+        (
+            {"motion": lambda p, t: p[:, 0]},
+            ValueError,
+            r"motion\(p, t\) must have shape \(160, 3\)",
+        ),
+        ({"motion": lambda p, t: p * 1j}, TypeError, r"motion\(p, t\) must hold real numbers"),
+        (
+            {"velocity": lambda x, t: x[:, :2]},
+            ValueError,
+            r"velocity\(x, t\) must have shape \(160, 3\), got \(160, 2\)",
+        ),
+        ({"velocity": lambda x, t: x * 1j}, TypeError, r"velocity\(x, t\) must hold real numbers"),
+    ],
+)
+def test_wrong_shapes_are_refused_by_name(law, error, message):
+    with pytest.raises(error, match=message):
+        list(ec.evolve(SPACE, diffusion(**law), 1, 0.1, 0.5))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_velocity_that_is_not_finite_stops_the_run(bad):
+    def velocity(x, t):
+        return np.where((t > 0.25) & (x[:, :1] > 1), bad, 0.1 * x)
+
+    states = []
+    with pytest.raises(
+        ec.EvolutionError, match=r"velocity\(x, t\) is not finite at node \d+ near \["
+    ):
+        states.extend(ec.evolve(SPACE, diffusion(velocity=velocity), 1, 0.1, 0.5))
+    assert [s.t for s in states] == [0.0, 0.1, 0.2]
+
+
+def test_a_motion_that_is_not_finite_stops_the_run():
+    def motion(p, t):
+        return np.where((t > 0.25) & (p[:, :1] > 1), np.nan, (1 + t) * p)
+
+    states = []
+    with pytest.raises(ec.EvolutionError, match="not finite"):
+        states.extend(ec.evolve(SPACE, diffusion(motion=motion), 1, 0.1, 0.5))
+    assert [s.t for s in states] == [0.0, 0.1, 0.2]

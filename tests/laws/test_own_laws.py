@@ -1,0 +1,76 @@
+"""A velocity law of one's own: a class with species and velocity, without any private name."""
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+
+
+class MyLaw:
+    """v - alpha lap v + beta H nu = g nu, written by a reader."""
+
+    def __init__(self, alpha, beta, g):
+        self.alpha, self.beta, self.g, self.species = alpha, beta, g, {}
+
+    def velocity(self, at, new, tau, past, solve):
+        b = self.beta * (at.A @ past)
+        b += at.load(self.g(at)[..., None] * at.normal)
+        return solve(at.matrix(1.0, self.alpha + self.beta * tau), b)
+
+
+def g(at):
+    return 1 + at.u + at.points[..., 2] * np.cos(3 * at.t)
+
+
+@pytest.mark.parametrize("solver", ["direct", "lagged"])
+@pytest.mark.parametrize("mass", ["updated", "extrapolated"])
+@pytest.mark.parametrize("p", [1, 3, 5])
+def test_ten_lines_are_the_regularised_law_bit_for_bit(p, mass, solver):
+    species = {"u": ec.Species(lambda x: 1 + x[:, 0] * x[:, 1])}
+    runs = [
+        ec.evolve(
+            SPACE, ec.Problem(species=species, law=law), p, 0.02, 0.2, mass=mass, solver=solver
+        )
+        for law in (MyLaw(0.7, 0.3, g), ec.laws.Regularised(0.7, 0.3, g))
+    ]
+    for mine, built_in in zip(*runs, strict=True):
+        np.testing.assert_array_equal(mine.x, built_in.x)
+        np.testing.assert_array_equal(mine.u, built_in.u)
+        if mine.v is None:
+            assert built_in.v is None
+        else:
+            np.testing.assert_array_equal(mine.v, built_in.v)
+
+
+class Rest:
+    species: dict = {}  # noqa: RUF012 - what a reader would write
+
+    def __init__(self, v):
+        self.v = v
+
+    def velocity(self, at, new, tau, past, solve):
+        return self.v
+
+
+def test_what_a_law_returns_is_checked():
+    good = ec.Problem(law=Rest(np.zeros_like(SPACE.nodes)))
+    *_, last = ec.evolve(SPACE, good, 1, 0.1, 0.2)
+    np.testing.assert_array_equal(last.x, SPACE.nodes)
+    for v, error, message in (
+        (SPACE.nodes[:, 0], ValueError, r"velocity of the law must have shape \(258, 3\), got"),
+        (None, TypeError, "velocity of the law must hold real numbers"),
+    ):
+        with pytest.raises(error, match=message):
+            list(ec.evolve(SPACE, ec.Problem(law=Rest(v)), 1, 0.1, 0.2))
+
+
+def test_what_is_no_law_is_refused():
+    for law in (object(), lambda at: at.normal, 1.0):
+        with pytest.raises(TypeError, match=r"law must have .*velocity, see esfem_core\.laws\.Law"):
+            ec.Problem(law=law)
+    with pytest.raises(
+        TypeError, match=r"law must be an object, not a class: write Rest\(\.\.\.\)"
+    ):
+        ec.Problem(law=Rest)

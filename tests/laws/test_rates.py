@@ -1,0 +1,87 @@
+"""A rate is taken implicitly: stable for every step, of the order of the scheme.
+
+The same as an explicit source has a largest step, derived here from the characteristic polynomial
+delta(z) + k tau z gamma(z), whose root reaches the unit circle at z = -1.
+"""
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.study import observed_orders
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+ORDERS = [1, 2, 3, 4, 5]
+AT_REST = ec.laws.Prescribed(lambda p, t: p)
+
+
+def at_rest(exact_u=None, **species):
+    """One species on the unit sphere at rest; an exact solution makes exact starting values."""
+    exact = None
+    if exact_u is not None:
+        exact = ec.Exact(lambda p, t: p, lambda p, t: 0 * p, lambda x, t: exact_u(t) + 0 * x[:, 0])
+    return ec.Problem(species={"u": ec.Species(1.0, **species)}, law=AT_REST, exact=exact)
+
+
+def largest_explicit_step(p):
+    """The k tau at which a source -k u begins to grow."""
+    delta, gamma = ec.bdf.delta(p), ec.bdf.gamma(p)
+    signs = (-1.0) ** np.arange(p + 1)
+    return (signs @ delta) / (signs[:-1] @ gamma)
+
+
+def test_the_documented_limits():
+    limits = [largest_explicit_step(p) for p in ORDERS]
+    np.testing.assert_allclose(limits, [2, 4 / 3, 20 / 21, 32 / 45, 256 / 465], rtol=1e-14)
+
+
+@pytest.mark.parametrize("p", ORDERS)
+def test_an_explicit_source_blows_up_beyond_its_limit_and_not_below(p):
+    step, limit = 1 / 8, largest_explicit_step(p)
+    for share in (0.97, 1.03):
+        k = share * limit / step
+        problem = at_rest(source=lambda at, k=k: -k * at.u)
+        run = ec.evolve(SPACE, problem, p, step, 1200 * step)
+        if share > 1:
+            with (
+                pytest.warns(ec.EvolutionWarning, match="step is too large for an explicit source"),
+                pytest.raises(ec.EvolutionError, match="u has grown to"),
+            ):
+                list(run)
+        else:
+            sizes = [np.abs(state.u).max() for state in run]
+            assert max(sizes) < 10
+            assert sizes[-1] < 1e-6
+
+
+@pytest.mark.parametrize("p", ORDERS)
+@pytest.mark.parametrize("rate", [800.0, lambda at: 800 + 400 * at.points[..., 0]])
+def test_an_implicit_rate_is_stable_at_any_step(p, rate):
+    """With k tau = 100, what is left after a step is of the size 1/(k tau)."""
+    u = [s.u for s in ec.evolve(SPACE, at_rest(rate=rate), p, 1 / 8, 8.0, start="euler")]
+    assert max(np.abs(w).max() for w in u[p:]) < 0.2
+    assert np.abs(u[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("p", ORDERS)
+@pytest.mark.parametrize(
+    ("rate", "exact"),
+    [(3.0, lambda t: np.exp(-3 * t)), (lambda at: at.u**2, lambda t: (1 + 2 * t) ** -0.5)],
+    ids=["k", "u squared"],
+)
+def test_an_implicit_rate_has_the_order_of_the_scheme(p, rate, exact):
+    problem, steps, errors = at_rest(exact, rate=rate), [1 / 20, 1 / 40, 1 / 80], []
+    for step in steps:
+        *_, last = ec.evolve(SPACE, problem, p, step, 1.0, solver="direct")
+        errors.append(np.abs(last.u - exact(1.0)).max())
+    assert observed_orders(steps, errors)[-1] == pytest.approx(p, abs=0.3)
+
+
+def test_a_rate_is_the_same_as_a_source_of_the_new_value():
+    """One Euler step, written out: (M/tau + A + k M) u^1 = M u^0/tau."""
+    tau, k = 0.1, 5.0
+    problem = ec.Problem(species={"u": ec.Species(lambda x: 1 + x[:, 2], rate=k)}, law=AT_REST)
+    *_, last = ec.evolve(SPACE, problem, 1, tau, tau, solver="direct")
+    M, A = SPACE.mass_stiffness(SPACE.nodes)
+    rest = M @ (last.u - 1 - SPACE.nodes[:, 2]) / tau + A @ last.u + k * M @ last.u
+    assert np.abs(rest).max() < 1e-14
