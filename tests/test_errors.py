@@ -11,6 +11,10 @@ SPACE = ec.SurfaceSpace(ec.sphere("icosahedron", 3), 2, ec.to_unit_sphere)
 PROBLEM = ec.problems.expanding_sphere()
 
 
+def with_u(state, u, **changes):
+    return dataclasses.replace(state, fields={"u": u}, **changes)
+
+
 def exact_state(t):
     x = PROBLEM.exact.x(SPACE.nodes, t)
     return ec.State(t, x, PROBLEM.exact.v(SPACE.nodes, t), PROBLEM.exact.u(x, t))
@@ -71,7 +75,7 @@ def test_states_at_different_times_are_refused():
 
 def test_a_column_is_not_broadcast_against_a_vector():
     state, n = exact_state(0.3), len(SPACE.nodes)
-    column = dataclasses.replace(state, u=state.u[:, None])
+    column = with_u(state, state.u[:, None])
     exact_column = PROBLEM.exact._replace(u=lambda x, t: PROBLEM.exact.u(x, t)[:, None])
     problem = dataclasses.replace(PROBLEM, exact=exact_column)
     with pytest.raises(ValueError, match=rf"got \({n},\) and \({n}, 1\)"):
@@ -91,15 +95,29 @@ def test_a_column_is_not_broadcast_against_a_vector():
 @pytest.mark.parametrize("measure", [ec.errors.compare, ec.errors.lifted])
 def test_what_is_no_state_of_the_space_is_refused(measure):
     state, n = exact_state(0.3), len(SPACE.nodes)
-    for change, message in [
-        ({"x": state.x[1:]}, rf"state\.x must have shape \({n}, 3\), got \({n - 1}, 3\)"),
-        ({"v": state.v[:, 0]}, rf"state\.v must have shape \({n}, 3\), got \({n},\)"),
-        ({"u": state.u[:1]}, rf"state\.u must have shape \({n},\) or \({n}, m\), got \(1,\)"),
-        ({"u": np.where(np.arange(n) == 7, np.nan, 1.0)}, r"state\.u\[7\] is nan"),
-        ({"t": np.inf}, r"state\.t must be a finite number, got inf"),
+    for other, message in [
+        (
+            dataclasses.replace(state, x=state.x[1:]),
+            rf"state\.x must have shape \({n}, 3\), got \({n - 1}, 3\)",
+        ),
+        (
+            dataclasses.replace(state, v=state.v[1:]),
+            rf"state\.v must have shape \({n}, 3\), got \({n - 1}, 3\)",
+        ),
+        (
+            with_u(state, state.u[:1]),
+            rf"state\.u must have shape \({n},\) or \({n}, m\), got \(1,\)",
+        ),
+        (
+            with_u(state, np.zeros((n, 2, 2))),
+            rf"state\.u must have shape \({n},\) or \({n}, m\), got \({n}, 2, 2\)",
+        ),
+        (with_u(state, np.where(np.arange(n) == 7, np.nan, 1.0)), r"state\.u\[7\] is nan"),
     ]:
         with pytest.raises(ValueError, match=message):
-            measure(SPACE, PROBLEM, dataclasses.replace(state, **change))
+            measure(SPACE, PROBLEM, other)
+    with pytest.raises(TypeError, match="state must be a State, got 0"):
+        measure(SPACE, PROBLEM, 0)
 
 
 def test_a_seminorm_wants_a_row_for_each_of_the_matrix():
@@ -124,7 +142,7 @@ class TestNormsOverARun:
         assert found == pytest.approx((3.0, np.sqrt(0.1 * 4 * (1 + 9 + 4))))
 
     def test_starting_states_are_not_counted(self):
-        start = dataclasses.replace(self.RUN[0], v=None, u=self.RUN[0].u + 1)
+        start = with_u(self.RUN[0], self.RUN[0].u + 1, v=None)
         assert max(self.norms([start, *self.RUN[1:]])) < 1e-15
 
     @pytest.mark.parametrize("where", [1, 3])
@@ -135,7 +153,7 @@ class TestNormsOverARun:
 
         assert np.isnan(self.norms(self.RUN, measure=measure)).all()
         states = list(self.RUN)
-        states[where] = dataclasses.replace(states[where], u=np.nan * states[where].u)
+        states[where] = with_u(states[where], np.nan * states[where].u)
         with pytest.raises(ValueError, match="must be finite, but state"):
             self.norms(states)
 

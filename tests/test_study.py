@@ -47,7 +47,7 @@ def test_sizes_and_values_without_orders_are_refused(sizes, values, message):
 
 
 def test_the_final_state_is_the_last_of_a_run():
-    assert final(ec.State(t, None, None, None) for t in range(3)).t == 2
+    assert final(ec.State(t, np.zeros((4, 3))) for t in range(3)).t == 2
     with pytest.raises(ValueError, match="there are no states"):
         final([])
 

@@ -45,13 +45,13 @@ def test_assembly_by_element_gives_what_the_package_assembles():
     x = space.nodes * [1.0, 1.2, 0.8]
     state = ec.State(0.2, x, None, np.sin(x[:, 0]) + x[:, 1])
     (M, A), (f, g) = assemble_by_element(space, state, problem)
-    at = space.assemble(x, state.u)
-    arguments = at.u, at.grad_u, at.points, state.t
+    at = ec.Surface(space, x, state.u, state.t)
+    source, speed = problem.species["u"].source(at), problem.law.g(at)
     for ours, theirs in (
         (M, at.M),
         (A, at.A),
-        (f, space.load(x, problem.f(*arguments))),
-        (g, space.load(x, problem.g(*arguments)[..., None] * at.normals)),
+        (f, space.load(x, source)),
+        (g, space.load(x, speed[..., None] * space.normals(x))),
     ):
         assert abs(ours - theirs).max() < 1e-14
 

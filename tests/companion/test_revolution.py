@@ -32,7 +32,7 @@ def test_a_growing_sphere():
 def test_the_bat_against_triangles():
     """Two methods that share only the motion come together with the order of linear elements."""
     bat, errors = ec.problems.baseball_bat(), []
-    (u,) = cosine_mode(bat.motion, half_wave, [0.4])
+    (u,) = cosine_mode(bat.law.motion, half_wave, [0.4])
     for refinements in (3, 4):
         space = ec.SurfaceSpace(ec.sphere("octahedron", refinements))
         last = final(ec.evolve(space, bat, 4, 1 / 80, 0.4))
@@ -44,7 +44,7 @@ def test_the_bat_against_triangles():
 
 def test_degrees_agree():
     bat = ec.problems.baseball_bat()
-    (low,), (high,) = (cosine_mode(bat.motion, half_wave, [0.2], degree=d) for d in (12, 24))
+    (low,), (high,) = (cosine_mode(bat.law.motion, half_wave, [0.2], degree=d) for d in (12, 24))
     np.testing.assert_allclose(low(P), high(P), atol=2e-5 * abs(high(P)).max())
 
 

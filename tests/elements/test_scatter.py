@@ -16,7 +16,9 @@ PAIRS = np.stack(np.triu_indices(6))
 def test_matrices(length):
     slices = [slice(i, min(i + length, len(CELLS))) for i in range(0, len(CELLS), length)]
     entries = np.random.default_rng(0).standard_normal((2, PAIRS.shape[1], len(CELLS)))
-    matrices = SparsePattern(CELLS, PAIRS, N, slices).matrices(entries[:, :, c] for c in slices)
+    chunks = (tuple(entries[:, :, c]) for c in slices)
+    matrices = SparsePattern(CELLS, PAIRS, N, slices).matrices(chunks, 2)
+    assert len(matrices) == 2
     a, b = PAIRS
     off = a != b
     row, column = CELLS.T[np.r_[a, b[off]]].ravel(), CELLS.T[np.r_[b, a[off]]].ravel()
@@ -31,7 +33,16 @@ def test_matrices(length):
 def test_too_few_chunks_are_refused():
     pattern = SparsePattern(CELLS, PAIRS, N, [slice(0, 100), slice(100, len(CELLS))])
     with pytest.raises(ValueError, match="shorter"):
-        pattern.matrices([(np.ones((21, 100)), np.ones((21, 100)))])
+        pattern.matrices([(np.ones((21, 100)), np.ones((21, 100)))], 2)
+
+
+def test_another_number_of_matrices_than_was_said_is_refused():
+    pattern = SparsePattern(CELLS, PAIRS, N, [slice(0, len(CELLS))])
+    entries = (np.ones((21, len(CELLS))), np.ones((21, len(CELLS))))
+    for count, message in [(1, "longer"), (3, "shorter")]:
+        with pytest.raises(ValueError, match=message):
+            pattern.matrices([entries], count)
+    assert pattern.matrices([()], 0) == []
 
 
 def test_nodal_vectors():

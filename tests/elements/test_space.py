@@ -92,7 +92,9 @@ def test_methods_refuse_wrong_shapes():
     n = len(space.nodes)
     with pytest.raises(ValueError, match=rf"x must have shape \({n}, 3\), got \(18, 3\)"):
         space.mass_stiffness(space.nodes[:18])
-    with pytest.raises(ValueError, match=rf"u must have {n} rows, one per node, got \(5,\)"):
+    with pytest.raises(ValueError, match=rf"u must have shape \({n}, \.\.\.\), got \(5,\)"):
         space.evaluate(np.zeros(5))
-    with pytest.raises(ValueError, match=r"values must have shape \(32, 6, '...'\), got \(6, 32\)"):
+    with pytest.raises(
+        ValueError, match=r"values must have shape \(32, 6, \.\.\.\), got \(6, 32\)"
+    ):
         space.load(space.nodes, np.zeros((6, 32)))

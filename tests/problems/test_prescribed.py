@@ -1,5 +1,7 @@
 """The problems of [LMV] Section 6: their sources derived again, their motions, short runs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import sympy
@@ -15,6 +17,11 @@ TIMES = (0.0, 0.7, 2.0, 3.9)
 
 def points(n, seed=0):
     return ec.to_unit_sphere(np.random.default_rng(seed).standard_normal((n, 3)))
+
+
+def source(problem, x, t):
+    """F of (2.1) at points of one's own: it depends on position and time only."""
+    return problem.species["u"].source(SimpleNamespace(points=x, t=t))
 
 
 def angles(p):
@@ -63,7 +70,7 @@ def test_source_of_the_ellipsoid_symbolically(derived, evaluation):
         expected = terms["f"](*angles(p), t)
         np.testing.assert_allclose(problem.exact.u(x, t), terms["u"](*angles(p), t), atol=1e-14)
         np.testing.assert_allclose(
-            problem.f(None, None, x, t), expected, rtol=1e-10, atol=1e-10 * abs(expected).max()
+            source(problem, x, t), expected, rtol=1e-10, atol=1e-10 * abs(expected).max()
         )
 
 
@@ -84,16 +91,16 @@ def test_source_of_the_ellipsoid_with_differences_in_time(derived):
         divergence, laplacian = (terms[name](*angles(p), t) for name in ("divergence", "laplacian"))
         x = exact.x(p, t)
         f = material + exact.u(x, t) * divergence - laplacian
-        np.testing.assert_allclose(problem.f(None, None, x, t), f, atol=1e-8)
+        np.testing.assert_allclose(source(problem, x, t), f, atol=1e-8)
 
 
 @pytest.mark.parametrize("solution", SOLUTIONS)
 def test_ellipsoid_at_the_start_and_its_level_set(solution):
     problem = ec.problems.oscillating_ellipsoid(solution)
     p = points(20)
-    assert problem.motion is problem.exact.x
+    assert problem.law.motion is problem.exact.x
     np.testing.assert_array_equal(problem.exact.x(p, 0.0), p)
-    np.testing.assert_array_equal(problem.initial_values(p), p[:, 0] * p[:, 1])
+    np.testing.assert_array_equal(problem.initial_values(p)["u"], p[:, 0] * p[:, 1])
     for t in TIMES:
         x = problem.exact.x(p, t)
         level = x[:, 0] ** 2 / (1 + np.sin(t) / 4) + x[:, 1] ** 2 + x[:, 2] ** 2
@@ -108,14 +115,14 @@ def test_lifted_source_is_constant_along_normals(t):
     x = direct.exact.x(np.vstack([np.eye(3), -np.eye(3), points(20)]), t)
     normal = x / [1 + np.sin(t) / 4, 1, 1]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    on_surface = direct.f(None, None, x, t)
-    np.testing.assert_allclose(lifted.f(None, None, x, t), on_surface, atol=1e-13)
+    on_surface = source(direct, x, t)
+    np.testing.assert_allclose(source(lifted, x, t), on_surface, atol=1e-13)
     for distance in (-0.5, -0.05, 1e-6, 0.05, 0.5):
         away = (x + distance * normal).reshape(13, 2, 3)
         np.testing.assert_allclose(
-            lifted.f(None, None, away, t).ravel(), on_surface, rtol=1e-12, atol=1e-13
+            source(lifted, away, t).ravel(), on_surface, rtol=1e-12, atol=1e-13
         )
-    assert abs(direct.f(None, None, x + 0.05 * normal, t) - on_surface).max() > 1e-3
+    assert abs(source(direct, x + 0.05 * normal, t) - on_surface).max() > 1e-3
 
 
 @pytest.mark.parametrize(("degree", "order"), [(1, 2), (2, 4)])
@@ -126,9 +133,9 @@ def test_direct_and_lifted_source_differ_by_the_geometry_error(degree, order):
     t, sizes, differences = 0.9, [], []
     for refinements in (3, 4, 5):
         space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), degree, ec.to_unit_sphere)
-        x = direct.motion(space.nodes, t)
+        x = direct.law.motion(space.nodes, t)
         q = space.quadrature_points(x)
-        difference = direct.f(None, None, q, t) - lifted.f(None, None, q, t)
+        difference = source(direct, q, t) - source(lifted, q, t)
         differences.append(np.sqrt(space.load(x, difference**2).sum()))
         sizes.append(space.mesh_size(x))
     np.testing.assert_allclose(ec.study.observed_orders(sizes, differences), order, atol=0.1)
@@ -138,7 +145,7 @@ def test_lifting_refuses_what_has_no_closest_point():
     problem = ec.problems.oscillating_ellipsoid(evaluation="lifted")
     for x in ([0.0, 0.0, 0.0], [0.1, 0.0, 0.0]):
         with pytest.raises(ValueError, match=r"0\.0\] is too far from the ellipsoid"):
-            problem.f(None, None, np.array([[[1.0, 0, 0], x]]), 1.0)
+            source(problem, np.array([[[1.0, 0, 0], x]]), 1.0)
 
 
 @pytest.mark.parametrize("evaluation", ["direct", "lifted"])
@@ -160,7 +167,7 @@ def test_order_in_space_on_the_ellipsoid(evaluation):
 
 def test_bat_is_the_printed_map_away_from_the_poles():
     """(6.2) as printed."""
-    motion, p = ec.problems.baseball_bat().motion, points(200)
+    motion, p = ec.problems.baseball_bat().law.motion, points(200)
     x1, x2, x3 = p.T
     root = np.sqrt(x2**2 + x3**2)
     assert root.min() > 0.05
@@ -176,7 +183,7 @@ def test_bat_is_the_printed_map_away_from_the_poles():
 @pytest.mark.parametrize("t", [0.0, 0.5, 1.0])
 def test_bat_at_the_poles(t):
     """The poles are nodes and stay on the axis, and the map is continuous there."""
-    motion, x = ec.problems.baseball_bat().motion, LINEAR.nodes
+    motion, x = ec.problems.baseball_bat().law.motion, LINEAR.nodes
     poles = np.array([[1.0, 0, 0], [-1.0, 0, 0]])
     assert all((x == pole).all(axis=1).any() for pole in poles)
     np.testing.assert_array_equal(motion(poles, t), [[1 + t, 0, 0], [-1, 0, 0]])
@@ -189,7 +196,7 @@ def test_bat_at_the_poles(t):
 
 def test_bat_has_a_velocity_that_is_only_lipschitz():
     """Continuous across x1 = 0, where the derivative of its first component jumps by 1."""
-    motion, eps, t = ec.problems.baseball_bat().motion, 1e-4, 0.5
+    motion, eps, t = ec.problems.baseball_bat().law.motion, 1e-4, 0.5
 
     def velocity(x1):
         s = np.sqrt(1 - x1**2)
@@ -203,7 +210,7 @@ def test_bat_has_a_velocity_that_is_only_lipschitz():
 
 def test_bat_has_a_jump_in_its_curvature():
     """Its profile, radius over x1, has slope 0 at x1 = 0, but two second derivatives."""
-    motion, eps, t = ec.problems.baseball_bat().motion, 1e-3, 1.0
+    motion, eps, t = ec.problems.baseball_bat().law.motion, 1e-3, 1.0
     p1 = np.array([-eps, 0.0, eps])
     x = motion(np.column_stack([p1, np.sqrt(1 - p1**2), 0 * p1]), t)
     left, right = (2 * (x[i, 1] - x[1, 1]) / x[i, 0] ** 2 for i in (0, 2))
@@ -213,11 +220,13 @@ def test_bat_has_a_jump_in_its_curvature():
 
 def test_initial_values_of_the_bat():
     p, bat = points(10), ec.problems.baseball_bat()
-    np.testing.assert_array_equal(bat.initial_values(p), p[:, 0] * p[:, 1])
-    np.testing.assert_array_equal(ec.problems.baseball_bat(lambda x: x).initial_values(p), p)
-    with pytest.raises(ValueError, match=r"one row for each of 10 nodes, got \(3,\)"):
+    np.testing.assert_array_equal(bat.initial_values(p)["u"], p[:, 0] * p[:, 1])
+    np.testing.assert_array_equal(ec.problems.baseball_bat(lambda x: x).initial_values(p)["u"], p)
+    with pytest.raises(
+        ValueError, match=r"u0 must give .* one row for each of 10 nodes, .*; got \(3,\)"
+    ):
         ec.problems.baseball_bat(np.arange(3)).initial_values(p)
-    with pytest.raises(ValueError, match="no exact solution"):
+    with pytest.raises(ValueError, match="needs a problem with an exact solution"):
         time_norms(LINEAR, bat, ec.evolve(LINEAR, bat, 1, 0.5, 0.5), (0.0, 1.0))
 
 
@@ -255,7 +264,9 @@ def test_time_norms():
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match=r"solution must be one of \['decay', 'oscillation'\], go"):
+    with pytest.raises(
+        ValueError, match='solution must be "decay" or "oscillation", got \'growth\''
+    ):
         ec.problems.oscillating_ellipsoid("growth")
     with pytest.raises(ValueError, match='evaluation must be "direct" or "lifted", got \'nodal\''):
         ec.problems.oscillating_ellipsoid(evaluation="nodal")

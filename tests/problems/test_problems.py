@@ -1,11 +1,20 @@
 """Exact solutions fulfil their equations; problems refuse what makes no sense."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import sympy
 
 import esfem_core as ec
 from esfem_core.problems.spheres import _lambert_of_exponential
+
+
+def sources(problem, u, x, t):
+    """F and g for values of u at points of one's own."""
+    at = SimpleNamespace(u=u, points=x, t=t)
+    return problem.species["u"].source(at), problem.law.g(at)
 
 
 def test_expanding_sphere_symbolically():
@@ -36,8 +45,7 @@ def test_expanding_sphere_symbolically():
         for point, value, f_value, g_value in zip(
             x,
             values,
-            problem.f(values, None, x, time),
-            problem.g(values, None, x, time),
+            *sources(problem, values, x, time),
             strict=True,
         ):
             at = {t: time, alpha: 0.7, beta: 1.9, **dict(zip(q, point, strict=True))}
@@ -51,10 +59,9 @@ def test_expanding_sphere_symbolically():
 def test_couplings_agree_on_the_solution(coupling):
     problem = ec.problems.expanding_sphere(coupling)
     x = problem.exact.x(ec.to_unit_sphere(np.random.default_rng(0).standard_normal((9, 3))), 0.4)
-    reference = ec.problems.expanding_sphere("none").g(np.zeros(9), None, x, 0.4)
-    np.testing.assert_allclose(
-        problem.g(problem.exact.u(x, 0.4), None, x, 0.4), reference, rtol=1e-13
-    )
+    _, reference = sources(ec.problems.expanding_sphere("none"), np.zeros(9), x, 0.4)
+    _, g = sources(problem, problem.exact.u(x, 0.4), x, 0.4)
+    np.testing.assert_allclose(g, reference, rtol=1e-13)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1e-3, 0.5, 1.0, 3.0])
@@ -104,16 +111,56 @@ def test_growing_sphere(parameters):
         assert speed * (1 + 2 * alpha / r**2) + 2 * beta / r == pytest.approx(delta * u0 / r**2)
 
 
+ONE = ec.Species(1.0)
+LAW = ec.laws.Regularised(alpha=0.5)
+
+
+class WithNormal:
+    """A law that carries a function of its own."""
+
+    species = {"n": ec.Species(lambda x: x, conserved=False)}  # noqa: RUF012
+
+    def velocity(self, at, new, tau, past, solve):
+        return new["n"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"alpha": -1.0}, ValueError, "alpha must be finite and not negative, got -1.0"),
-        ({"beta": np.inf}, ValueError, "beta must be finite and not negative"),
-        ({"diffusivity": 0.0}, ValueError, "diffusivity must be positive, got 0.0"),
-        ({"diffusivity": np.array([1.0, -1.0])}, ValueError, "diffusivity must be positive"),
-        ({"law": "dynamic"}, ValueError, "law must be \"regularised\", got 'dynamic'"),
-        ({"f": 3.0}, TypeError, "f must be a function or None, got float"),
-        ({"motion": lambda p, t: p, "g": lambda *_: 1}, ValueError, "the motion is prescribed"),
+        ({"alpha": -1.0}, ValueError, r"alpha must be a finite number >= 0, got -1\.0"),
+        ({"beta": np.inf}, ValueError, "beta must be a finite number >= 0, got inf"),
+        ({"alpha": "1"}, TypeError, "alpha must be a finite number >= 0, got '1'"),
+        ({"diffusivity": -1.0}, ValueError, r"diffusivity must be a finite number >= 0, got -1\.0"),
+        (
+            {"diffusivity": np.array([1.0, -1.0])},
+            ValueError,
+            r"diffusivity must hold a number >= 0 for each component, got \[1\.0, -1\.0\]",
+        ),
+        (
+            {"diffusivity": np.array([])},
+            ValueError,
+            r"diffusivity must hold a number >= 0 for each component, got \[\]",
+        ),
+        (
+            {"diffusivity": [1.0, np.nan]},
+            ValueError,
+            r"diffusivity must be finite, but diffusivity\[1\] is nan",
+        ),
+        ({"f": 3.0}, TypeError, r"f must be a function of a Surface or None, got 3\.0"),
+        ({"g": 3.0}, TypeError, r"g must be a function of a Surface or None, got 3\.0"),
+        ({"motion": 3.0}, TypeError, r"motion must be a function or None, got 3\.0"),
+        (
+            {"exact": lambda p, t: p},
+            TypeError,
+            r"exact must be an Exact\(x, v, u, \.\.\.\), got <function",
+        ),
+        ({"law": "dynamic"}, TypeError, "law must have species and velocity, .*; got 'dynamic'"),
+        (
+            {"law": SimpleNamespace(species={})},
+            TypeError,
+            r"law must have species and velocity, .*; got namespace\(species=\{\}\)",
+        ),
+        ({"law": SimpleNamespace(velocity=print)}, TypeError, "law must have species and velocity"),
     ],
 )
 def test_problem_refuses(arguments, error, message):
@@ -121,15 +168,131 @@ def test_problem_refuses(arguments, error, message):
         ec.Problem(u0=lambda x: x[:, 0], **arguments)
 
 
+@pytest.mark.parametrize("name", ["g", "alpha", "beta"])
+def test_a_prescribed_motion_has_no_parameters_of_a_velocity_law(name):
+    value = (lambda at: at.u) if name == "g" else 1.0
+    message = f"{name} must not be given here: .* but the motion is prescribed"
+    with pytest.raises(ValueError, match=message):
+        ec.Problem(1.0, motion=lambda p, t: p, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("u0", 1.0), ("f", lambda at: at.u), ("diffusivity", 0.5)]
+)
+def test_a_species_is_not_given_twice(name, value):
+    message = f"{name} must not be given here: species is given: write it into its Species"
+    with pytest.raises(ValueError, match=message):
+        ec.Problem(species={"u": ONE}, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("g", lambda at: at.u), ("alpha", 1.0), ("beta", 0.0), ("motion", lambda p, t: p)],
+)
+def test_a_law_is_not_given_twice(name, value):
+    message = f"{name} must not be given here: law is given: write it into the law"
+    with pytest.raises(ValueError, match=message):
+        ec.Problem(1.0, law=LAW, **{name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("f", lambda at: at.u), ("diffusivity", 0.5)])
+def test_without_initial_values_there_is_no_species_to_belong_to(name, value):
+    with pytest.raises(ValueError, match=f"{name} must not be given here: .* so give u0 as well"):
+        ec.Problem(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["x", "v", 3])
+def test_species_are_not_called_like_positions_and_velocities(name):
+    message = f"a species must have a name other than x and v, got {name!r}"
+    with pytest.raises(ValueError, match=message):
+        ec.Problem(species={name: ONE})
+
+
+def test_species_are_species_and_not_those_of_the_law():
+    with pytest.raises(TypeError, match=r"species\['c'\] must be a Species, got 1\.0"):
+        ec.Problem(species={"c": 1.0})
+    with pytest.raises(ValueError, match="the law has a function 'n' of its own: give the species"):
+        ec.Problem(species={"n": ONE}, law=WithNormal())
+
+
+def test_a_law_needs_a_motion_or_a_velocity_and_not_both():
+    message = "exactly one of motion and velocity must be given"
+    for given in ({}, {"motion": lambda p, t: p, "velocity": lambda x, t: x}):
+        with pytest.raises(ValueError, match=message):
+            ec.laws.Prescribed(**given)
+
+
+def test_the_short_form_is_a_species_and_a_law():
+    def f(at):
+        return at.u
+
+    def g(at):
+        return at.u
+
+    short = ec.Problem(4.0, f, g, alpha=0.5, beta=0.25, diffusivity=2.0)
+    [(name, species)] = short.species.items()
+    assert (name, species.initial, species.source, species.diffusivity) == ("u", 4.0, f, 2.0)
+    assert (species.rate, species.conserved) == (None, True)
+    assert short.law == ec.laws.Regularised(0.5, 0.25, g)
+    assert ec.Problem().law == ec.laws.Regularised(1.0, 1.0, None)
+    assert dict(ec.Problem().species) == {}
+    assert not hasattr(short, "f")
+    assert list(ec.Problem(species={"a": ONE}, law=WithNormal()).all_species) == ["n", "a"]
+
+
+def test_problems_cannot_be_changed_but_replaced():
+    given = {"a": ONE}
+    problem = ec.Problem(species=given, law=LAW)
+    given["b"] = ONE
+    assert list(problem.species) == ["a"]
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        problem.species["b"] = ONE
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        problem.law = LAW
+    other = dataclasses.replace(problem, law=ec.laws.Regularised(2.0))
+    assert (other.law.alpha, problem.law.alpha) == (2.0, 0.5)
+    assert dict(other.species) == dict(problem.species)
+
+
 def test_unknown_coupling():
-    with pytest.raises(ValueError, match="coupling must be one of"):
+    with pytest.raises(
+        ValueError, match='coupling must be "smooth", "printed" or "none", got \'tight\''
+    ):
         ec.problems.expanding_sphere("tight")
 
 
 def test_initial_values():
     x = ec.to_unit_sphere(np.random.default_rng(0).standard_normal((4, 3)))
-    assert ec.Problem(u0=np.arange(4)).initial_values(x).tolist() == [0, 1, 2, 3]
-    with pytest.raises(ValueError, match=r"one row for each of 4 nodes, got \(3,\)"):
-        ec.Problem(u0=np.arange(3)).initial_values(x)
-    with pytest.raises(ValueError, match="u0 is not finite at node 0"):
-        ec.Problem(u0=lambda x: np.full(len(x), np.nan)).initial_values(x)
+
+    def u(u0, **more):
+        return ec.Problem(u0=u0, **more).initial_values(x)["u"]
+
+    assert u(np.arange(4)).tolist() == [0, 1, 2, 3]
+    assert u(2).tolist() == [2, 2, 2, 2]
+    assert ec.Problem().initial_values(x) == {}
+    np.testing.assert_array_equal(u(lambda x: x), x)
+    message = r"u0 must give a number or one row for each of 4 nodes, .*\(4,\) or \(4, m\); got "
+    for values, shape in [(np.arange(3), r"\(3,\)"), (np.zeros((4, 2, 2)), r"\(4, 2, 2\)")]:
+        with pytest.raises(ValueError, match=message + shape):
+            u(values)
+    with pytest.raises(ValueError, match=r"u0 must be finite, but u0\[0\] is nan"):
+        u(lambda x: np.full(len(x), np.nan))
+    with pytest.raises(TypeError, match="u0 must hold real numbers, got complex128"):
+        u(1j * x)
+    for columns, found in [(slice(0, 3), r"\(3,\)"), (0, r"one component, \(N,\)")]:
+        with pytest.raises(ValueError, match=rf"diffusivity has shape \(2,\), but u0 has {found}"):
+            u(x[:, columns], diffusivity=np.ones(2))
+    two = ec.Problem(species={"c": ec.Species(np.arange(3))})
+    with pytest.raises(ValueError, match="the initial value of 'c' must give a number or one row"):
+        two.initial_values(x)
+
+
+def test_initial_values_get_points_of_their_own():
+    nodes = np.zeros((4, 3))
+
+    def writes(x):
+        x += 1
+        return x[:, 0]
+
+    np.testing.assert_array_equal(ec.Problem(writes).initial_values(nodes)["u"], np.ones(4))
+    assert not nodes.any()

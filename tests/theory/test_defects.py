@@ -1,10 +1,13 @@
 """Defects: perturbed runs that return the exact values, orders, and the splits of the proof."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import solve
 
 import esfem_core as ec
+from esfem_core.elements import NotFiniteError
 from esfem_core.problems import Exact
 from esfem_core.solvers import superlu
 from esfem_core.stepping import exact_state
@@ -42,11 +45,11 @@ def triaxial():
         w = np.array([1.0, 1.3, 0.7])
         return (n == 0) + 0.3 * w**n * np.sin(w * t + n * np.pi / 2)
 
-    def f(u, grad_u, x, t):
-        return u**2 + grad_u[..., 0] * x[..., 1]
+    def f(at):
+        return at.u**2 + at.grad_u[..., 0] * at.points[..., 1]
 
-    def g(u, grad_u, x, t):
-        return np.sin(u) + grad_u[..., 2] ** 2
+    def g(at):
+        return np.sin(at.u) + at.grad_u[..., 2] ** 2
 
     exact = Exact(
         lambda p, t: p * scale(t, 0),
@@ -68,23 +71,39 @@ def test_a_run_perturbed_by_the_defects_returns_the_exact_values(problem, order)
     def perturbation(n):
         return defects(space, problem, order, step, n)
 
-    run = ec.evolve(space, problem, order, step, 0.5, solver="direct", perturbation=perturbation)
-    for state in run:
+    options = {"mass": "extrapolated", "solver": "direct", "perturbation": perturbation}
+    for state in ec.evolve(space, problem, order, step, 0.5, **options):
         e = ec.errors.compare(space, problem, state)
         assert max(e.x_l2, e.x_h1, e.u_l2, e.u_h1) < 1e-11
-        if state.v is not None and problem.motion is None:  # else v is the quotient of positions
+        # With a prescribed motion v is the quotient of positions.
+        if state.v is not None and not isinstance(problem.law, ec.laws.Prescribed):
             assert max(e.v_l2, e.v_h1) < 1e-11
 
 
-def test_starting_values_are_not_perturbed():
-    space, seen = space_of(0), []
+def test_exact_starting_values_are_not_perturbed_and_euler_steps_have_the_number_they_lead_to():
+    space = space_of(0)
 
-    def perturbation(n):
-        seen.append(n)
-        return np.zeros(len(space.nodes)), np.zeros((1, 3)), np.zeros((1, 3))
+    def run(start, size):
+        seen = []
 
-    list(ec.evolve(space, EXPANDING, 3, 0.1, 0.6, start="euler", perturbation=perturbation))
+        def perturbation(n):
+            seen.append(n)
+            return np.full(len(space.nodes), size), np.zeros((1, 3)), np.zeros((1, 3))
+
+        options = {"start": start, "solver": "direct", "perturbation": perturbation}
+        return list(ec.evolve(space, EXPANDING, 3, 0.1, 0.6, **options)), seen
+
+    states, seen = run("exact", 1e-3)
     assert seen == [3, 4, 5, 6]
+    for n in range(3):
+        np.testing.assert_array_equal(states[n].u, exact_state(space, EXPANDING, n / 10).u)
+    substeps = 1 + 2 + 3  # of each of the two steps by Euler's method
+    states, seen = run("euler", 1e-3)
+    assert seen == [1] * substeps + [2] * substeps + [3, 4, 5, 6]
+    unperturbed, _ = run("euler", 0.0)
+    np.testing.assert_array_equal(states[0].u, unperturbed[0].u)
+    for n in (1, 2):
+        assert abs(states[n].u - unperturbed[n].u).max() > 1e-4
 
 
 def test_what_the_scheme_reproduces_has_no_defect():
@@ -133,8 +152,7 @@ def test_the_spatial_defect_of_a_prescribed_motion_is_a_derivative():
         return space.mass_stiffness(state.x)[0] @ state.u
 
     A = space.mass_stiffness(now.x)[1]
-    points = space.quadrature_points(now.x)
-    f = problem.f(None, None, points, t)
+    f = problem.species["u"].source(ec.Surface(space, now.x, now.u, t))
     expected = (mass_term(t + eps) - mass_term(t - eps)) / (2 * eps) + A @ now.u
     expected -= space.load(now.x, f)
     assert np.abs(spatial_defects(space, problem, t).u - expected).max() < 1e-7
@@ -211,9 +229,7 @@ def test_the_rate_of_mass_times_u_is_a_derivative():
 def test_a_source_is_loaded_with_the_values_it_returns(components):
     space, n = space_of(0), 42
     u = np.ones((n, *components))
-    problem = ec.Problem(
-        u0=u, f=lambda u, grad_u, x, t: 3 * u, g=lambda u, grad_u, x, t: 2 * np.ones(u.shape[:2])
-    )
+    problem = ec.Problem(u0=u, f=lambda at: 3 * at.u, g=lambda at: 2 * np.ones(at.density.shape))
     M, _ = space.mass_stiffness(space.nodes)
     np.testing.assert_allclose(source_load(space, problem, "f", space.nodes, u, 0.0), 3 * M @ u)
     load = source_load(space, problem, "g", space.nodes, u, 0.0)
@@ -226,17 +242,30 @@ def test_a_source_is_loaded_with_the_values_it_returns(components):
 
 
 @pytest.mark.parametrize(
-    ("returned", "message"),
+    ("returned", "error", "message"),
     [
-        (lambda u: u[..., None], r"what g returns must have shape \(80, 6\), got \(80, 6, 1\)"),
-        (lambda u: 1.0, r"what g returns must have shape \(80, 6\), got \(\)"),
-        (lambda u: u * np.nan, r"what g returns must be finite, but what g returns\[0, 0\] is nan"),
+        (
+            lambda at: at.u[..., None],
+            ValueError,
+            r"g must return an array of shape \(80, 6\) or \(80, 6, 3\), got \(80, 6, 1\)",
+        ),
+        (
+            lambda at: at.u[0],
+            ValueError,
+            r"g must return an array of shape \(80, 6\) or \(80, 6, 3\), got \(6,\)",
+        ),
+        (lambda at: at.u * 1j, TypeError, "what g returns must hold real numbers, got complex128"),
+        (
+            lambda at: at.u * np.nan,
+            NotFiniteError,
+            r"g returned nan in element 0 at \[-?\d\.\d+ +-?\d\.\d+ +-?\d\.\d+\]",
+        ),
     ],
 )
-def test_sources_of_another_shape_or_not_finite_are_refused(returned, message):
+def test_sources_of_another_shape_or_not_finite_are_refused(returned, error, message):
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2)
-    problem = ec.Problem(u0=lambda x: x[:, 0], g=lambda u, grad_u, x, t: returned(u))
-    with pytest.raises(ValueError, match=message):
+    problem = ec.Problem(u0=lambda x: x[:, 0], g=returned)
+    with pytest.raises(error, match=message):
         source_load(space, problem, "g", space.nodes, space.nodes[:, 0], 0.0)
 
 
@@ -262,7 +291,7 @@ def field_of(problem):
     return Field(
         surface=lambda t: Ellipsoid((axis(t), 1.0, 1.0)),
         v=lambda x, t: x * [np.cos(t) / (8 * axis(t) ** 2), 0, 0],
-        f=lambda x, t: problem.f(None, None, x, t),
+        f=lambda x, t: problem.species["u"].source(SimpleNamespace(points=x, t=t)),
     )
 
 
