@@ -266,9 +266,9 @@ def time_study(
     >>> table = time_study(space, problem, 2, [1 / 20, 1 / 40, 1 / 80], 1.0)
     >>> print(table.select("x_l2"))
           tau       x_l2      order
-         0.05   1.27e-02
-        0.025   3.19e-03       2.00
-       0.0125   7.82e-04       2.03
+         0.05   7.31e-03
+        0.025   1.78e-03       2.03
+       0.0125   4.26e-04       2.07
 
     The temporal error of BDF3 alone, of a problem without an exact solution:
 

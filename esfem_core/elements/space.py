@@ -299,11 +299,11 @@ class SurfaceSpace:
         --------
         >>> import esfem_core as ec
         >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
-        >>> print(f"{space.integrate(space.nodes, 1) / (4 * np.pi):.5f}")
-        0.99996
+        >>> print(f"{space.integrate(space.nodes, 1) / (4 * np.pi):.6f}")
+        0.999955
         >>> u = space.evaluate(space.nodes[:, 2] ** 2)
-        >>> print(f"{space.integrate(space.nodes, u) / (4 * np.pi / 3):.4f}")
-        1.0000
+        >>> print(f"{space.integrate(space.nodes, u) / (4 * np.pi / 3):.6f}")
+        0.999955
         """
         return self.integral_with(self.density(x).T, values)
 

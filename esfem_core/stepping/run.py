@@ -152,9 +152,9 @@ def evolve(
     Examples
     --------
     >>> import esfem_core as ec
-    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
     >>> problem = ec.problems.growing_sphere(alpha=1, beta=1, delta=1, u0=4)
-    >>> *_, last = ec.evolve(space, problem, order=3, step=1 / 20, end=1.0)
+    >>> *_, last = ec.evolve(space, problem, order=3, step=1 / 40, end=1.0)
     >>> radius = np.linalg.norm(last.x, axis=1)
     >>> print(f"{radius.mean():.4f} {np.linalg.norm(problem.exact.x(space.nodes, 1.0)[0]):.4f}")
     1.4313 1.4314
