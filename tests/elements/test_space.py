@@ -98,3 +98,76 @@ def test_methods_refuse_wrong_shapes():
         ValueError, match=r"values must have shape \(32, 6, \.\.\.\), got \(6, 32\)"
     ):
         space.load(space.nodes, np.zeros((6, 32)))
+
+
+def test_the_mass_matrix_alone_is_that_of_both():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 3, ec.to_unit_sphere)
+    x = space.nodes * [1, 1.2, 0.7]
+    M, _ = space.mass_stiffness(x)
+    np.testing.assert_array_equal(space.mass(x).data, M.data)
+    u = np.random.default_rng(0).standard_normal((len(x), 2))
+    np.testing.assert_allclose(space.mass_times(x, u), M @ u, rtol=0, atol=1e-15)
+
+
+def test_interpolation_takes_nodal_values_on_the_surface_asked_for():
+    space = ec.SurfaceSpace(TRI, 2)
+    x = 2 * space.nodes
+    np.testing.assert_array_equal(space.interpolate(lambda x: x[:, 0] ** 2, x), x[:, 0] ** 2)
+    values = space.interpolate(lambda x: x, x)
+    assert not np.shares_memory(values, x)
+    np.testing.assert_array_equal(values, x)
+
+
+def test_integrals_of_components_and_numbers():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), 1)
+    area = 4 * np.sqrt(3)
+    assert space.integrate(space.nodes, 2) == pytest.approx(2 * area, rel=1e-14)
+    values = np.ones((8, 3, 2, 4)) * np.arange(4)
+    np.testing.assert_allclose(
+        space.integrate(3 * space.nodes, values), np.tile(9 * area * np.arange(4), (2, 1))
+    )
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (
+            lambda s: s.interpolate(lambda x: x[:3], s.nodes),
+            ValueError,
+            r"function\(x\) must have shape \(66, \.\.\.\), got \(3, 3\)",
+        ),
+        (
+            lambda s: s.interpolate(lambda x: x * np.nan, s.nodes),
+            ValueError,
+            r"function\(x\) must be finite, but function\(x\)\[0, 0\] is nan",
+        ),
+        (
+            lambda s: s.interpolate(s.nodes, s.nodes),
+            TypeError,
+            r"function must take points \(N, 3\), got an array of shape \(66, 3\)",
+        ),
+        (
+            lambda s: s.interpolate(lambda x: x, s.nodes[1:]),
+            ValueError,
+            r"x must have shape \(66, 3\), got \(65, 3\)",
+        ),
+        (
+            lambda s: s.integrate(s.nodes, np.ones(66)),
+            ValueError,
+            r"values must have shape \(32, 6, \.\.\.\), got \(66,\)",
+        ),
+        (
+            lambda s: s.integrate(s.nodes, 1j),
+            TypeError,
+            r"values must hold real numbers, got complex128 \(1j\)",
+        ),
+        (
+            lambda s: s.integrate(s.nodes[1:], 1),
+            ValueError,
+            r"x must have shape \(66, 3\), got \(65, 3\)",
+        ),
+    ],
+)
+def test_interpolation_and_integrals_refuse(call, error, message):
+    with pytest.raises(error, match=message):
+        call(ec.SurfaceSpace(TRI, 2))
