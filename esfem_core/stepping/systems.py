@@ -97,7 +97,7 @@ class Systems:
 
     def _conforming(self, K: csr_array) -> csr_array:
         """The matrix with all entries of the pattern, also where they are zero."""
-        if K.nnz == self._pattern.nnz:
+        if _same_places(K, self._pattern):
             return K
         full = self._pattern.copy()
         full.data = np.zeros(full.nnz)
@@ -113,6 +113,14 @@ class Systems:
             )
         np.add.at(full.data, at, entries.data)
         return full
+
+
+def _same_places(K: csr_array, pattern: csr_array) -> bool:
+    if K.format != "csr" or K.shape != pattern.shape:
+        return False
+    return K.indices is pattern.indices or (
+        np.array_equal(K.indptr, pattern.indptr) and np.array_equal(K.indices, pattern.indices)
+    )
 
 
 def stacked(loads: Sequence[Array]) -> tuple[Array, Callable[[Array], list[Array]]]:
