@@ -86,7 +86,12 @@ class State:
             "fields": MappingProxyType(
                 {name: _frozen(real_array(name, w, ("N", "..."))) for name, w in given.items()}
             ),
-            "products": MappingProxyType({n: _frozen(w) for n, w in (products or {}).items()}),
+            "products": MappingProxyType(
+                {
+                    name: _frozen(real_array(f"products[{name!r}]", w, ("N", "...")))
+                    for name, w in (products or {}).items()
+                }
+            ),
             "method": method,
         }
         for name, value in values.items():
