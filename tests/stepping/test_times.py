@@ -1,0 +1,100 @@
+"""Times of the steps: rounded once, the same from wherever one counts."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.stepping.times import count_steps, later
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+AT_REST = ec.Problem(motion=lambda p, t: p)
+
+
+def chain(t, step, n):
+    times = [t]
+    for _ in range(n):
+        times.append(later(times[-1], step))
+    return times
+
+
+@pytest.mark.parametrize("denominator", [3, 7, 10, 40, 160, 1280, 999])
+def test_multiples_of_a_fraction_are_the_nearest_numbers_to_them(denominator):
+    times = chain(0.0, 1 / denominator, 3 * denominator)
+    assert times == [float(Fraction(n, denominator)) for n in range(3 * denominator + 1)]
+    assert times[-1] == 3.0
+
+
+def test_three_tenths():
+    assert 0.1 + 0.1 + 0.1 != 0.3
+    assert chain(0.0, 0.1, 3)[-1] == 0.3
+    assert chain(-0.3, 0.1, 3)[-1] == 0.0
+
+
+@pytest.mark.parametrize("step", [0.1 / 3, np.pi / 100, 1e-9, 2.0**-40, 12345.678])
+@pytest.mark.parametrize("start", [0.0, 0.0171, -np.e, 1e6])
+def test_each_is_the_last_one_and_a_step_rounded_once(start, step):
+    """Never further from the exact sum of both numbers than half the spacing of floats."""
+    times = chain(start, step, 100)
+    for before, after in pairwise(times):
+        assert abs(Fraction(after) - Fraction(before) - Fraction(step)) <= (
+            Fraction(np.spacing(abs(before))) / 2
+            + Fraction(np.spacing(step)) / 2
+            + Fraction(np.spacing(abs(after))) / 2
+        )
+    assert times[-1] == pytest.approx(start + 100 * step, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("step", "end"),
+    [(0.1, 0.3), (0.1, 0.1 + 0.1 + 0.1), (0.1 / 3, 1.0), (np.pi / 7, np.pi), (0.1, 0.7 + 1e-11)],
+)
+def test_the_last_time_of_a_run_is_its_end_itself(step, end):
+    times = [state.t for state in ec.evolve(SPACE, AT_REST, 2, step, end)]
+    assert times[-1] == end
+    assert times[:-1] == chain(0.0, step, len(times) - 2)
+
+
+def test_an_end_at_the_last_starting_state_takes_no_step():
+    states = list(ec.evolve(SPACE, AT_REST, 3, 0.1, 0.2))
+    assert [state.t for state in states] == [0.0, 0.1, 0.2]
+    again = list(ec.evolve(SPACE, AT_REST, 3, 0.1, 0.2, start=states))
+    assert [state.t for state in again] == [0.0, 0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "end", "expected"),
+    [(0.0, 0.1, 0.3, 3), (0.25, 0.05, 1.0, 15), (0.0, 1 / 3, 1.0, 3), (-1.0, 0.5, 1.0, 4)],
+)
+def test_numbers_of_steps(start, step, end, expected):
+    for nudge in (0, 0.5e-9, -0.5e-9):
+        assert count_steps(start, step, end * (1 + nudge)) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((0.0, 0.1, 1.05), ValueError, r"end/step must be an integer, got 1\.05/0\.1 = 10\.5"),
+        (
+            (0.5, 0.1, 1.05),
+            ValueError,
+            r"end/step must be an integer, got \(1\.05 - 0\.5\)/0\.1 = 5\.5",
+        ),
+        ((0.0, 0.1, 1 + 1e-7), ValueError, "end/step must be an integer"),
+        ((0.5, 0.1, 0.4), ValueError, r"end must not be before the start at t = 0\.5, got 0\.4"),
+        ((0.0, -0.1, 0.4), ValueError, r"step must be a finite number > 0, got -0\.1"),
+        (
+            (0.0, 1e-300, 1.0),
+            ValueError,
+            r"step is too small: end/step is 1e\+300, got step = 1e-3",
+        ),
+        ((0.0, 0.1, np.inf), ValueError, "end must be a finite number, got inf"),
+        ((0.0, 0.1, "1"), TypeError, "end must be a finite number, got '1'"),
+        ((0.0, None, 1.0), TypeError, "step must be a finite number > 0, got None"),
+    ],
+)
+def test_numbers_of_steps_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        count_steps(*arguments)
