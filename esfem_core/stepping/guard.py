@@ -111,7 +111,7 @@ class Guard:
                 )
             start = self._size.get(name) or largest
             self._size[name] = start
-            if largest <= GROWTH * start:
+            if largest <= min(GROWTH, self._growth) * start:
                 continue
             node = int(np.argmax(np.abs(w).reshape(len(w), -1).max(axis=1)))
             text = (
