@@ -1,0 +1,321 @@
+"""What is never yielded as good: surfaces inside out or degenerate, functions without bounds."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+import esfem_core as ec
+from esfem_core.elements import DegenerateElementError
+from esfem_core.stepping.guard import Guard
+
+TRI = ec.sphere("icosahedron", 2)
+SPACE = ec.SurfaceSpace(TRI)
+X = SPACE.nodes
+N = len(X)
+STEP = r"step \d+, t = [\d.]+: "
+
+
+def two(inner=0.5, shift=0.0, cavity=True):
+    """Two spheres in one space, the second one of them the wall of a cavity."""
+    other = TRI.copy()
+    other.vertices = inner * other.vertices + [shift, 0, 0]
+    if cavity:
+        other.faces = other.faces[:, ::-1]
+    return ec.SurfaceSpace(trimesh.util.concatenate([TRI, other]))
+
+
+def guard(space=SPACE, growth=1e12, **fields):
+    return Guard(space, space.nodes, fields, growth)
+
+
+class TestSurfaces:
+    def test_moved_turned_and_stretched_ones_are_good(self):
+        own, x = guard(), X.copy()
+        rotation = trimesh.transformations.rotation_matrix(0.5, [1, 2, 3])[:3, :3]
+        for _ in range(30):  # in steps; by more than a turn in all
+            x = 1.1 * x @ rotation.T + [3, 1, 0]
+            own.check_surface(x)
+        own.check_surface(x * [1, 1, 0.1])
+
+    def test_inside_out(self):
+        """The map x -> -x leaves the normal of every triangle as it is."""
+        own = guard()
+        message = (
+            r"the surface is inside out \(enclosed volume -4\.\d+\), near \[.*\]: it has shrunk "
+            "to a point or passed through itself"
+        )
+        with pytest.raises(DegenerateElementError, match=message):
+            own.check_surface(-X)
+        with pytest.raises(DegenerateElementError, match="volume -4"):  # wherever it is
+            own.check_surface(100 - X)
+        own.check_surface(X)
+
+    def test_mirrored(self):
+        with pytest.raises(DegenerateElementError, match="has turned over: its normal") as error:
+            guard().check_surface(X * [-1, 1, 1])
+        normal = TRI.face_normals[error.value.element]
+        assert abs(normal[0]) < np.sqrt(0.5)  # (n1, n2, n3) has become (n1, -n2, -n3)
+
+    def test_one_turned_triangle(self):
+        x = X.copy()
+        corner = SPACE.cells[17, 0]
+        x[corner] = 3 * x[SPACE.cells[17, 1:]].mean(axis=0) - 2 * x[corner]
+        with pytest.raises(
+            DegenerateElementError, match=r"element \d+ near \[.*\] has turned over"
+        ) as error:
+            guard().check_surface(x)
+        assert corner in SPACE.cells[error.value.element]
+
+    def test_normals_are_compared_with_those_of_the_step_before(self):
+        """Half a turn at once is refused, in three steps it is a rotation."""
+        own = guard()
+        angles = [np.pi / 3, 2 * np.pi / 3, np.pi]
+        turned = [
+            X @ trimesh.transformations.rotation_matrix(a, [0, 0, 1])[:3, :3].T for a in angles
+        ]
+        with pytest.raises(DegenerateElementError, match="has turned over"):
+            own.check_surface(turned[-1])
+        for x in turned:
+            own.check_surface(x)
+
+    def test_degenerate_and_not_finite(self):
+        flat = X.copy()
+        a, b, c = SPACE.cells[11]
+        flat[a] = (flat[b] + flat[c]) / 2
+        with pytest.raises(DegenerateElementError, match=r"element 11 near \[.*\] is degenerate"):
+            guard().check_surface(flat)
+        for value in (np.nan, np.inf):
+            x = X.copy()
+            x[5, 2] = value
+            with (
+                np.errstate(invalid="ignore"),
+                pytest.raises(
+                    DegenerateElementError, match=r"element \d+ near .* is not finite"
+                ) as e,
+            ):
+                guard().check_surface(x)
+            assert 5 in SPACE.cells[e.value.element]
+
+
+class TestSeveralComponents:
+    def test_one_of_two_is_inside_out(self):
+        space = two(shift=4.0, cavity=False)
+        own, x = guard(space), space.nodes.copy()
+        own.check_surface(x)
+        x[N:] = 8 - x[N:]
+        message = r"component 1 of the surface is inside out \(enclosed volume -0\.5"
+        with pytest.raises(DegenerateElementError, match=message) as error:
+            own.check_surface(x)
+        assert error.value.element >= len(TRI.faces)
+
+    def test_a_cavity_may_stay_one(self):
+        space = two()
+        own, x = guard(space), space.nodes.copy()
+        own.check_surface(0.5 * x)
+        x[N:] *= 0.01
+        own.check_surface(x)
+        x[N:] *= -1
+        message = r"component 1 of the surface is inside out \(enclosed volume 5\.\d+e-07\)"
+        with pytest.raises(DegenerateElementError, match=message):
+            own.check_surface(x)
+
+    def test_a_run_with_a_cavity_ends_when_the_cavity_closes(self):
+        """Both walls move inwards with speed 1; the inner one has the radius 1/2."""
+
+        def g(at):
+            speed = np.ones(at.density.shape)  # the normal points into the cavity
+            speed[: len(TRI.faces)] = -1
+            return speed
+
+        problem, states = ec.Problem(g=g, alpha=0, beta=0), []
+        with pytest.raises(ec.EvolutionError, match=r"is inside out|has turned over") as error:
+            states.extend(ec.evolve(two(), problem, 1, 0.09, 0.9))
+        assert error.value.element >= len(TRI.faces)
+        assert [round(s.t, 2) for s in states] == [0.0, 0.09, 0.18, 0.27, 0.36, 0.45]
+
+
+class TestNarrowAngles:
+    def test_they_are_worth_one_warning(self):
+        own = guard()
+        message = r"element \d+ near \[.*\] has an angle below one degree: the run will hardly"
+        with pytest.warns(ec.EvolutionWarning, match=message):
+            own.check_surface(X * [1, 1, 0.001])
+        own.check_surface(X * [1, 1, 0.0009])  # warnings are errors here
+
+    def test_a_mesh_that_has_them_at_the_start_is_not_worth_one(self):
+        thin = TRI.copy()
+        thin.vertices = thin.vertices * [1, 1, 0.002]
+        space = ec.SurfaceSpace(thin)
+        own = guard(space)
+        own.check_surface(1.5 * space.nodes)
+        with pytest.warns(ec.EvolutionWarning, match="angle below one degree"):
+            own.check_surface(space.nodes * [1, 1, 0.1])
+
+
+class TestFunctions:
+    def test_a_function_may_grow_a_millionfold(self):
+        own = guard(u=np.linspace(-2, 1, N))
+        own.check_functions(X, {"u": np.linspace(0, 2e6, N)})
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_more_is_worth_one_warning_each(self, sign):
+        own = guard(u=np.ones(N), w=2 * X)
+        u, w = np.ones(N), 2 * X
+        u[7], w = sign * 2e6, w.copy()
+        w[9, 1] = sign * 3e6
+        where = r"near \[ *-?[\d.]+ +-?[\d.]+ +-?[\d.]+\]: the step is too large"
+        with pytest.warns(ec.EvolutionWarning) as caught:
+            own.check_functions(X, {"u": u, "w": w})
+        own.check_functions(X, {"u": u, "w": w})
+        assert len(caught) == 2
+        texts = [
+            r"u has grown to 2e\+06, 2e\+06 times its largest value at the start, at node 7",
+            r"w has grown to 3e\+06, 2e\+06 times its largest value at the start, at node 9",
+        ]
+        for warning, text in zip(caught, texts, strict=True):
+            assert re.search(f"{text} {where}", str(warning.message))
+
+    def test_more_than_what_is_allowed_is_an_error(self):
+        own = guard(growth=100, u=np.ones(N))
+        own.check_functions(X, {"u": np.full(N, 99.0)})
+        with pytest.warns(ec.EvolutionWarning, match="u has grown"):
+            guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1e12)})
+        with pytest.raises(
+            FloatingPointError,
+            match=r"u has grown to 1\.1e\+12, .* \(allowed: growth = 1e\+12 times\)",
+        ):
+            guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1.1e12)})
+
+    def test_a_function_that_starts_from_zero_is_measured_from_its_first_values(self):
+        own = guard(u=np.zeros(N))
+        own.check_functions(X, {"u": np.zeros(N)})
+        own.check_functions(X, {"u": np.full(N, 1e-3)})
+        own.check_functions(X, {"u": np.full(N, 1e3)})
+        with pytest.warns(ec.EvolutionWarning, match=r"u has grown to 2e\+03, 2e\+06 times"):
+            own.check_functions(X, {"u": np.full(N, 2e3)})
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+    def test_what_is_not_finite_has_a_place(self, value):
+        w = np.zeros((N, 2))
+        w[30, 1] = value
+        with pytest.raises(FloatingPointError, match=r"w is not finite at node 30 near \[.*\]"):
+            guard(w=np.ones((N, 2))).check_functions(X, {"w": w})
+
+
+class TestGrowthInRuns:
+    PROBLEM = ec.Problem(1.0, f=lambda at: 100 * at.u, motion=lambda p, t: p)
+
+    def test_a_run_warns_once_and_stops_at_the_bound(self):
+        states = []
+        with (
+            pytest.warns(ec.EvolutionWarning, match="u has grown to") as caught,
+            pytest.raises(ec.EvolutionError, match=STEP + r".*growth = 1e\+12 times\)") as error,
+        ):
+            states.extend(ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0))
+        # Each step multiplies by 11: 11^6 > 1e6 and 11^12 > 1e12.
+        assert len(caught) == 1
+        assert error.value.step == len(states) == 12
+        assert abs(states[-1].u).max() == pytest.approx(11.0**11, rel=1e-9)
+
+    @pytest.mark.parametrize(("growth", "steps"), [(100, 2), (1e3, 3), (11.0**5 * 1.001, 6)])
+    def test_the_bound_is_the_users(self, growth, steps):
+        states = []
+        with pytest.raises(ec.EvolutionError, match="u has grown to") as error:
+            states.extend(ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0, growth=growth))
+        assert error.value.step == len(states) == steps
+
+    @pytest.mark.parametrize("growth", [1, 0.5, np.inf, np.nan])
+    def test_bounds_that_are_none_are_refused(self, growth):
+        with pytest.raises(ValueError, match="growth must be a finite number > 1, got"):
+            ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0, growth=growth)
+
+
+@pytest.mark.filterwarnings("ignore::esfem_core.EvolutionWarning")
+def test_a_reaction_that_is_too_fast_for_its_step_is_named():
+    """Two reacting substances, at rest: fine with steps of 5, unstable with steps of 50."""
+
+    def f(at):
+        a, b = np.moveaxis(at.u, -1, 0)
+        return np.stack([-a * b**2 + 0.04 * (1 - a), a * b**2 - 0.1 * b], axis=-1)
+
+    u0 = np.where(X[:, 2:] > 0.9, [[0.5, 0.25]], [[1.0, 0.0]])
+    D = np.array([2e-3, 1e-3])
+    problem = ec.Problem(u0, f=f, motion=lambda p, t: p, diffusivity=D)
+    assert abs(list(ec.evolve(SPACE, problem, 2, 5, 500))[-1].u).max() < 1.1
+    states = []
+    with pytest.raises(
+        ec.EvolutionError,
+        match=STEP + r"u has grown to .*e\+\d\d, .* at node \d+ near \[.*\]: the step is too",
+    ):
+        states.extend(ec.evolve(SPACE, problem, 2, 50, 500))
+    assert 2 <= len(states) < 11
+    assert max(abs(s.u).max() for s in states) < 1e12
+
+
+@pytest.mark.parametrize(("order", "step"), [(1, 0.02), (2, 0.02), (3, 0.04)])
+@pytest.mark.filterwarnings("ignore::esfem_core.EvolutionWarning")
+def test_a_sphere_does_not_shrink_through_a_point(order, step):
+    """It is gone at t = 0.27. Order 1 creeps up to the point, where u has grown too large."""
+    problem, states = ec.Problem(1.0, alpha=0.01, beta=1), []
+    message = "u has grown to" if order == 1 else "the surface is inside out .* shrunk to a point"
+    with pytest.raises(ec.EvolutionError, match=STEP + message) as error:
+        states.extend(ec.evolve(SPACE, problem, order, step, 0.6, start="euler"))
+    assert 0.25 < error.value.t < 0.6
+    for state in states:
+        assert trimesh.Trimesh(state.x, TRI.faces, process=False).volume > 0
+
+
+OCTAHEDRON = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+
+
+@pytest.mark.parametrize(
+    ("motion", "step", "message"),
+    [
+        (lambda p, t: p * (1 - 2 * t / 0.21), 0.03, "the surface is inside out"),
+        (lambda p, t: p if t < 0.1 else p * [-1, 1, 1], 0.03, "has turned over"),
+        (
+            lambda p, t: np.where(np.arange(len(p))[:, None] == 0, p * (1 - 20 * t), p),
+            0.21,
+            "has turned over",
+        ),
+    ],
+    ids=["through a point", "mirrored", "one vertex through the other side"],
+)
+def test_a_prescribed_motion_that_turns_the_surface_over_stops(motion, step, message):
+    problem = ec.Problem(lambda x: 1 + x[:, 0], motion=motion)
+    with pytest.raises(ec.EvolutionError, match=STEP + f".*{message}") as error:
+        list(ec.evolve(OCTAHEDRON, problem, 1, step, 0.21))
+    assert error.value.element is not None
+
+
+def dumbbell(x):
+    balls = [np.linalg.norm(x - [c, 0, 0], axis=1) - 1 for c in (-1.5, 1.5)]
+    neck = np.hypot(x[:, 1], x[:, 2]) - 0.3 + 50 * np.maximum(np.abs(x[:, 0]) - 1.5, 0) ** 3
+    return -0.1 * np.logaddexp.reduce([-v / 0.1 for v in (*balls, neck)])
+
+
+@pytest.mark.parametrize(("order", "last"), [(1, 0.1), (2, 0.06)])
+def test_a_dumbbell_ends_at_its_pinch(order, last):
+    """Whatever is yielded after the neck has become as thin as a needle comes with a warning."""
+    tri = ec.from_level_set(dumbbell, [[-2.8, -1.3, -1.3], [2.8, 1.3, 1.3]], 0.15)
+    space, problem, states, angles = ec.SurfaceSpace(tri), ec.Problem(1.0, alpha=0), [], []
+
+    def watched(caught):
+        for state in ec.evolve(space, problem, order, 0.01, 0.3):
+            mesh = trimesh.Trimesh(state.x, tri.faces, process=False)
+            angles.append((ec.mesh_quality(mesh).min_angle, len(caught)))
+            yield state
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with pytest.raises(ec.EvolutionError, match=STEP + r"element \d+ .*has turned over"):
+            states.extend(watched(caught))
+    assert states[-1].t == pytest.approx(last)
+    for angle, warned in angles:
+        if angle < 0.5:
+            assert warned == 1
+        if angle > 1:
+            assert warned == 0
