@@ -244,6 +244,109 @@ def test_refused_at_the_call(change, message):
         ec.evolve(SPACE, wobble(), **arguments)
 
 
+WRONG_TYPES = [
+    ({"order": "2"}, "order must be an integer >= 1, got '2'"),
+    ({"order": True}, "order must be an integer >= 1, got True"),
+    ({"step": None}, "step must be a finite number > 0, got None"),
+    ({"start": 3}, 'start must be "exact", "euler" or a sequence of states, got 3'),
+    ({"space": ec.sphere("octahedron", 1)}, "space must be a SurfaceSpace, got <trimesh"),
+    ({"problem": lambda x: x}, "problem must be a Problem, got <function"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG_TYPES)
+def test_wrong_types_are_refused_at_the_call(change, message):
+    arguments = {"space": SPACE, "problem": wobble(), "order": 2, "step": 0.1, "end": 1.0}
+    with pytest.raises(TypeError, match=message):
+        ec.evolve(**(arguments | change))
+
+
+@pytest.mark.parametrize("order", [2.0, np.int64(2), np.float32(2), np.arange(3)[2], np.array(2)])
+def test_integers_of_any_library_are_orders(order):
+    whole = final(ec.evolve(SPACE, wobble(), 2, 0.1, 0.3, solver="direct"))
+    other = final(ec.evolve(SPACE, wobble(), order, np.float64(0.1), 0.3, solver="direct"))
+    np.testing.assert_array_equal(other.u, whole.u)
+
+
+def test_mass_matrices_are_updated_unless_one_says_otherwise():
+    default, *others = (
+        final(ec.evolve(SPACE, wobble(), 3, 0.05, 0.5, solver="direct", **options))
+        for options in ({}, {"mass": "updated"}, {"mass": "extrapolated"})
+    )
+    np.testing.assert_array_equal(default.u, others[0].u)
+    assert abs(default.u - others[1].u).max() > 1e-6
+
+
+def test_a_motion_that_starts_elsewhere_is_refused_at_the_call():
+    message = (
+        r"motion must start on the surface, X\(p, 0\) = p, but X\(p, 0\) = \[.*\] for the node "
+        r"p = \[.*\]; a velocity goes into laws\.Prescribed\(velocity=v\)"
+    )
+    with pytest.raises(ValueError, match=message):
+        ec.evolve(SPACE, ec.Problem(1.0, motion=lambda p, t: 1.001 * p), 1, 0.1, 0.1)
+    with pytest.raises(ValueError, match="motion must start on the surface"):
+        ec.evolve(SPACE, ec.Problem(1.0, motion=lambda p, t: 0 * p), 1, 0.1, 0.1)
+    with pytest.raises(
+        ValueError, match=r"motion\(p, t\) must have shape \(258, 3\), got \(258,\)"
+    ):
+        ec.evolve(SPACE, ec.Problem(1.0, motion=lambda p, t: p[:, 0]), 1, 0.1, 0.1)
+
+
+def test_mean_curvature_without_regularisation_warns_for_curved_elements_only():
+    with pytest.warns(ec.EvolutionWarning, match="elements of degree 2 lose two orders") as caught:
+        ec.evolve(SPACE, ec.Problem(alpha=0), 1, 0.1, 0.1)
+    assert caught[0].filename == __file__
+    ec.evolve(SPACE, ec.Problem(alpha=0, beta=0), 1, 0.1, 0.1)
+    ec.evolve(ec.SurfaceSpace(ec.sphere("octahedron", 1)), ec.Problem(alpha=0), 1, 0.1, 0.1)
+
+
+@pytest.mark.parametrize("p", [1, 3])
+@pytest.mark.parametrize("conserved", [True, False])
+def test_what_does_not_diffuse_is_diluted_or_carried(p, conserved):
+    """On a surface that is blown up by 1 + t: u0/(1 + t)^2 at every node, or u0."""
+    rough = np.random.default_rng(0).standard_normal(len(SPACE.nodes))
+    species = {"u": ec.Species(rough, diffusivity=0, conserved=conserved)}
+    problem = ec.Problem(species=species, law=ec.laws.Prescribed(lambda p, t: (1 + t) * p))
+    for state in ec.evolve(SPACE, problem, p, 0.1, 1.0):
+        expected = rough / (1 + state.t) ** 2 if conserved else rough
+        np.testing.assert_allclose(state.u, expected, rtol=0, atol=1e-9)
+
+
+def test_a_surface_alone_moves_as_if_something_were_on_it():
+    def g(at):
+        return 1 + at.points[..., 2] + at.t
+
+    alone, together = (
+        final(ec.evolve(SPACE, ec.Problem(u0, g=g), 3, 0.05, 0.5, solver="direct"))
+        for u0 in (None, 1)
+    )
+    assert list(alone.fields) == []
+    assert list(together.fields) == ["u"]
+    np.testing.assert_array_equal(alone.x, together.x)
+    np.testing.assert_array_equal(alone.v, together.v)
+    with pytest.raises(KeyError, match="there is no function 'u' on this surface, only none"):
+        final(ec.evolve(SPACE, ec.Problem(g=lambda at: at.u), 1, 0.1, 0.1))
+
+
+def test_speeds_along_the_normal_are_numbers_values_or_vectors():
+    def run(g):
+        return final(ec.evolve(SPACE, ec.Problem(g=g), 2, 0.05, 0.3, solver="direct"))
+
+    values = run(lambda at: np.full(at.density.shape, 1.5))
+    np.testing.assert_array_equal(run(lambda at: 1.5).x, values.x)
+    np.testing.assert_array_equal(run(lambda at: 1.5 * at.normal).x, values.x)
+    sideways = run(lambda at: 1.5 * at.normal + [0, 0, 0.5])  # a translation, and nothing else
+    np.testing.assert_allclose(sideways.x - values.x, np.tile([0, 0, 0.15], (258, 1)), atol=1e-10)
+
+
+def test_initial_values_of_one_number():
+    number, values = (
+        final(ec.evolve(SPACE, wobble(u0=u0), 2, 0.05, 0.3, solver="direct"))
+        for u0 in (2, np.full(258, 2.0))
+    )
+    np.testing.assert_array_equal(number.u, values.u)
+
+
 def test_six_warns_and_seven_runs_if_asked():
     with pytest.warns(UserWarning, match="BDF6 has no multiplier"):
         states = ec.evolve(SPACE, wobble(), 6, 0.05, 0.5)

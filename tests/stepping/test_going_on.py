@@ -1,0 +1,224 @@
+"""Runs that go on from their own last states, as if they had never been interrupted."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+STEP = 0.1 / 3  # no multiple of it but the third is a short decimal
+STEPS = 13
+MASSES = ("updated", "extrapolated", "reassembled")
+
+
+class Curved(ec.laws.Law):
+    """V = u nu + w for a vector w that the law carries, with a slip of its nodes."""
+
+    species = {  # noqa: RUF012
+        "w": ec.Species(lambda x: 0.1 * x[:, [1, 2, 0]], lambda at: -at["w"], conserved=False),
+        "m": ec.Species(lambda x: 1 + 0.2 * x[:, 2], diffusivity=0.3),
+    }
+
+    def velocity(self, at, new, tau, past, solve):
+        b = at.load(at["m"][..., None] * at.normal) + at.M @ new["w"]
+        return solve(at.matrix(1.0, 0.5), b)
+
+    def slip(self, at):
+        return 0.1 * np.cross([0, 0, 1], at.x)
+
+
+def stretch(p, t):
+    return p * [1 + 0.3 * np.sin(t), 1, np.exp(-t / 2)]
+
+
+def reaction(at):
+    a, b = at["a"], at["b"]
+    return 0.1 - a + a**2 * b[..., 0] + 0.1 * np.sin(at.t)
+
+
+TWO = {
+    "a": ec.Species(lambda x: 1 + 0.3 * x[:, 0] * x[:, 1], reaction, rate=0.5, diffusivity=0.5),
+    "b": ec.Species(
+        lambda x: 0.9 + 0.1 * x[:, :2],
+        lambda at: (0.9 - at["b"], 0.1 * at.grad("b")),
+        diffusivity=[1.0, 0.2],
+        conserved=False,
+    ),
+}
+
+PROBLEMS = {
+    "coupled": ec.Problem(
+        lambda x: 1 + x[:, 0] * x[:, 1],
+        f=lambda at: np.sin(at.u) + at.grad_u[..., 0] * at.t,
+        g=lambda at: 1 + at.u + at.points[..., 2] * np.cos(3 * at.t),
+        alpha=0.7,
+        beta=0.3,
+    ),
+    "exact": ec.problems.expanding_sphere(),
+    "motion": ec.Problem(lambda x: x[:, 0], lambda at: at.points[..., 0] * at.t, motion=stretch),
+    "flow": ec.Problem(
+        species={"u": ec.Species(lambda x: x[:, 0])},
+        law=ec.laws.Prescribed(velocity=lambda x, t: x * [np.cos(t), 0.2, -0.3]),
+    ),
+    "two species": ec.Problem(
+        species=TWO,
+        law=ec.laws.Regularised(0.7, 0.3, lambda at: 0.5 * at["a"] * np.cos(at.t)),
+    ),
+    "two species on a motion": ec.Problem(species=TWO, law=ec.laws.Prescribed(stretch)),
+    "law with functions": ec.Problem(species=TWO, law=Curved()),
+    "surface alone": ec.Problem(g=lambda at: 2 + at.points[..., 0] + at.t),
+}
+
+
+def same(ours, theirs, atol=0.0):
+    """All of two states; the velocities of starting states are not known."""
+    assert ours.t == theirs.t
+    assert list(ours.fields) == list(theirs.fields)
+    for name in ours.fields:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
+    np.testing.assert_allclose(ours.x, theirs.x, rtol=0, atol=atol)
+    if ours.v is not None and theirs.v is not None:
+        np.testing.assert_allclose(ours.v, theirs.v, rtol=0, atol=30 * atol)  # divided by the step
+    for name in theirs.products:
+        a, b = ours.products[name], theirs.products[name]
+        np.testing.assert_allclose(a, b, rtol=0, atol=atol)
+
+
+def run(problem, p, **options):
+    return list(ec.evolve(SPACE, problem, p, STEP, **{"end": STEPS * STEP} | options))
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("mass", MASSES)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_same_bits_with_direct_solves(name, mass, p):
+    problem, options = PROBLEMS[name], {"mass": mass, "solver": "direct"}
+    whole = run(problem, p, **options)
+    for cut in (p + 1, STEPS - 2):  # some and all of the last p states have products
+        first = run(problem, p, end=whole[cut].t, **options)
+        same(first[-1], whole[cut])
+        again = run(problem, p, start=first[-p:], **options)
+        assert len(again) == len(whole) - cut + p - 1
+        for ours, theirs in zip(again, whole[cut - p + 1 :], strict=True):
+            same(ours, theirs)
+
+
+@pytest.mark.parametrize("p", [1, 3, 5])
+@pytest.mark.parametrize("mass", MASSES)
+def test_the_same_bits_after_every_single_step(mass, p):
+    problem, options = PROBLEMS["two species"], {"mass": mass, "solver": "direct"}
+    whole = run(problem, p, **options)
+    states = whole[:p]
+    for theirs in whole[p:]:
+        *_, last = run(problem, p, start=states, end=theirs.t, **options)
+        same(last, theirs)
+        states = [*states[1:], last]
+
+
+@pytest.mark.parametrize("p", [1, 4])
+@pytest.mark.parametrize("mass", MASSES)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_nine_digits_with_the_iterative_solver(name, mass, p):
+    whole = run(PROBLEMS[name], p, mass=mass)
+    again = run(PROBLEMS[name], p, mass=mass, start=whole[p + 1 : 2 * p + 1])
+    same(again[-1], whole[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("mass", MASSES)
+def test_the_same_bits_from_times_that_are_no_multiples_of_the_step(mass):
+    problem, options = PROBLEMS["coupled"], {"mass": mass, "solver": "direct"}
+    shifted = [dataclasses.replace(s, t=s.t + 0.0171) for s in run(problem, 3)[:3]]
+    end = shifted[-1].t + 7 * STEP
+    whole = run(problem, 3, start=shifted, end=end, **options)
+    first = run(problem, 3, start=shifted, end=whole[6].t, **options)
+    again = run(problem, 3, start=first[-3:], end=end, **options)
+    assert [s.t for s in again] == [s.t for s in whole[4:]]
+    same(again[-1], whole[-1])
+    assert whole[-1].t == end
+
+
+def test_the_same_bits_after_pickling():
+    problem, options = PROBLEMS["two species"], {"mass": "extrapolated", "solver": "direct"}
+    whole = run(problem, 4, **options)
+    start = pickle.loads(pickle.dumps(whole[5:9]))
+    same(run(problem, 4, start=start, **options)[-1], whole[-1])
+
+
+def test_perturbations_go_on_with_the_numbers_of_their_steps():
+    problem, seen = PROBLEMS["coupled"], []
+
+    def perturbation(n):
+        seen.append(n)
+        return {"u": np.full(len(SPACE.nodes), 0.1 * np.sin(n)), "v": 0.1 * SPACE.nodes}
+
+    options = {"solver": "direct", "perturbation": perturbation}
+    whole = run(problem, 2, **options)
+    seen.clear()
+    again = run(problem, 2, start=whole[5:7], **options)
+    assert seen == list(range(7, STEPS + 1))
+    same(again[-1], whole[-1])
+
+
+@pytest.mark.parametrize("p", [1, 2])
+@pytest.mark.parametrize("mass", ["updated", "extrapolated"])
+def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
+    """Without the products M(x~) u of its states, a run of (2.19) in parts loses 6 % for p = 1."""
+    problem = ec.Problem(lambda x: 1 + 0 * x[:, 0], g=lambda at: 2 * at.u, alpha=1, beta=0.1)
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 3))
+    options = {"order": p, "step": 1 / 40, "mass": mass}
+
+    def amount(state):
+        return space.mass(state.x).sum(axis=0) @ state.u
+
+    whole = list(ec.evolve(space, problem, end=1.0, **options))
+    states = list(ec.evolve(space, problem, end=0.25, **options))
+    for end in (0.5, 0.75, 1.0):
+        states = list(ec.evolve(space, problem, end=end, start=states[-p:], **options))
+    assert amount(states[-1]) == pytest.approx(amount(whole[-1]), rel=1e-9)
+    if mass == "updated":
+        assert amount(states[-1]) == pytest.approx(amount(whole[0]), rel=1e-12)
+    bare = [dataclasses.replace(s, products={}) for s in whole[10 : 10 + p]]
+    without = list(ec.evolve(space, problem, end=1.0, start=bare, **options))
+    lost = abs(amount(without[-1]) / amount(whole[-1]) - 1)
+    assert (lost > 1e-5) == (mass == "extrapolated")
+
+
+@pytest.mark.parametrize(
+    ("start", "error", "message"),
+    [
+        (lambda s: iter(s[:2]), TypeError, 'start must be "exact", "euler" or a sequence of stat'),
+        (lambda s: s[:3], ValueError, "start must hold p = 2 states, got 3"),
+        (lambda s: [s[0], 1.0], ValueError, "start must hold p = 2 states, got 1"),
+        (lambda s: s[1::-1], ValueError, r"a step of 0\.0333333 apart, got times \[0\.03"),
+        (
+            lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],
+            ValueError,
+            r"start\[1\] must have the function 'b', it has 'a'",
+        ),
+        (
+            lambda s: [s[0], ec.State(s[1].t, s[1].x)],
+            ValueError,
+            r"start\[1\] must have the function 'a', it has none",
+        ),
+        (
+            lambda s: [s[0], dataclasses.replace(s[1], x=s[1].x[1:])],
+            ValueError,
+            r"start\[1\]\.x must have shape \(66, 3\), got \(65, 3\)",
+        ),
+        (
+            lambda s: [
+                dataclasses.replace(s[0], fields=s[0].fields | {"a": np.nan * s[0]["a"]}),
+                s[1],
+            ],
+            ValueError,
+            r"start\[0\]\['a'\] must be finite, but start\[0\]\['a'\]\[0\] is nan",
+        ),
+    ],
+)
+def test_states_to_start_from_are_refused_at_the_call(start, error, message):
+    states = run(PROBLEMS["two species"], 2, end=3 * STEP)
+    with pytest.raises(error, match=message):
+        ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=start(states))
