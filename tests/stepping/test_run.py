@@ -312,6 +312,19 @@ def test_what_does_not_diffuse_is_diluted_or_carried(p, conserved):
         np.testing.assert_allclose(state.u, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("mass", ["updated", "extrapolated", "reassembled"])
+@pytest.mark.parametrize("p", [1, 3])
+def test_what_is_carried_and_does_not_diffuse_stays_where_it_is_on_any_surface(p, mass):
+    rough = np.random.default_rng(0).standard_normal(len(SPACE.nodes))
+    carried = ec.Species(rough, diffusivity=0, conserved=False)
+    law = ec.laws.Regularised(g=lambda at: 5 + at["c"])
+    *_, last = ec.evolve(
+        SPACE, ec.Problem(species={"c": carried}, law=law), p, 0.05, 0.5, mass=mass
+    )
+    assert np.linalg.norm(last.x, axis=1).min() > 1.05
+    np.testing.assert_allclose(last["c"], rough, rtol=0, atol=1e-9)
+
+
 def test_a_surface_alone_moves_as_if_something_were_on_it():
     def g(at):
         return 1 + at.points[..., 2] + at.t
