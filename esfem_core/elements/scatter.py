@@ -77,6 +77,8 @@ class SparsePattern:
         self.pattern.has_canonical_format = True
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
+        for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
+            shared.setflags(write=False)  # all matrices of the space have these indices
         self._n_sums = len(keys)
 
     def _part(self, places: Ints) -> tuple[csr_array, slice, Ints]:

@@ -127,6 +127,22 @@ def test_pattern_is_shared_and_data_fresh(space):
     np.testing.assert_array_equal(M.data, before)
 
 
+def test_no_matrix_can_change_the_pattern_of_the_others(space):
+    M, _ = space.mass_stiffness(space.nodes)
+    before = M.copy()
+    M.data[1] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        M.eliminate_zeros()
+    with pytest.raises(ValueError, match="read-only"):
+        M.indices[0] = 1
+    again = space.mass(space.nodes)
+    np.testing.assert_array_equal(again.indices, before.indices)
+    np.testing.assert_array_equal(again.data, before.data)
+    before.data[1] = 0
+    before.eliminate_zeros()  # a copy is one's own
+    assert before.nnz == space.pattern.nnz - 1
+
+
 @pytest.mark.parametrize("trailing", [(), (3,), (2, 3)])
 def test_load_is_the_integral_against_the_basis(space, trailing):
     """With nodal functions for values, load(evaluate(u)) = M u, for every component."""
