@@ -157,7 +157,7 @@ def evolve(
     >>> *_, last = ec.evolve(space, problem, order=3, step=1 / 40, end=1.0)
     >>> radius = np.linalg.norm(last.x, axis=1)
     >>> print(f"{radius.mean():.4f} {np.linalg.norm(problem.exact.x(space.nodes, 1.0)[0]):.4f}")
-    1.4313 1.4314
+    1.4314 1.4314
     """
     if not isinstance(space, SurfaceSpace):
         raise TypeError(f"space must be a SurfaceSpace, got {shown(space)}")

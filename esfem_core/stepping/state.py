@@ -58,8 +58,9 @@ class State:
     v: Array | None
     space: SurfaceSpace | None = None
     fields: Mapping[str, Array] = field(default_factory=dict)
-    products: Mapping[str, Array] = field(default_factory=dict)
-    method: Method | None = None
+    # Not handed on by dataclasses.replace: they belong to these values of x and the functions.
+    products: Mapping[str, Array] = field(init=False)
+    method: Method | None = field(init=False)
 
     def __init__(
         self,

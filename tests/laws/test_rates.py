@@ -44,7 +44,7 @@ def test_an_explicit_source_blows_up_beyond_its_limit_and_not_below(p):
         run = ec.evolve(SPACE, problem, p, step, 1200 * step)
         if share > 1:
             with (
-                pytest.warns(ec.EvolutionWarning, match="step is too large for an explicit source"),
+                pytest.warns(ec.EvolutionWarning, match="step is too large for what is explicit"),
                 pytest.raises(ec.EvolutionError, match="u has grown to"),
             ):
                 list(run)

@@ -154,13 +154,13 @@ class WithNormal:
             TypeError,
             r"exact must be an Exact\(x, v, u, \.\.\.\), got <function",
         ),
-        ({"law": "dynamic"}, TypeError, "law must have species and velocity, .*; got 'dynamic'"),
+        ({"law": "dynamic"}, TypeError, "law must have a method velocity, .*; got 'dynamic'"),
         (
             {"law": SimpleNamespace(species={})},
             TypeError,
-            r"law must have species and velocity, .*; got namespace\(species=\{\}\)",
+            r"law must have a method velocity, .*; got namespace\(species=\{\}\)",
         ),
-        ({"law": SimpleNamespace(velocity=print)}, TypeError, "law must have species and velocity"),
+        ({"law": SimpleNamespace(velocity=3)}, TypeError, "law must have a method velocity"),
     ],
 )
 def test_problem_refuses(arguments, error, message):

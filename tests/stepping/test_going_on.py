@@ -190,8 +190,11 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
     ("start", "error", "message"),
     [
         (lambda s: iter(s[:2]), TypeError, 'start must be "exact", "euler" or a sequence of stat'),
-        (lambda s: s[:3], ValueError, "start must hold p = 2 states, got 3"),
-        (lambda s: [s[0], 1.0], ValueError, "start must hold p = 2 states, got 1"),
+        (
+            lambda s: [s[0], 1.0],
+            ValueError,
+            "start must hold p = 2 states or more, got 1|start\\[1\\] must be a State, got 1.0",
+        ),
         (lambda s: s[1::-1], ValueError, r"a step of 0\.0333333 apart, got times \[0\.03"),
         (
             lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],

@@ -227,7 +227,7 @@ class TestGrowthInRuns:
             states.extend(ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0, growth=growth))
         assert error.value.step == len(states) == steps
 
-    @pytest.mark.parametrize("growth", [1, 0.5, np.inf, np.nan])
+    @pytest.mark.parametrize("growth", [1, 0.5, -np.inf, np.nan])
     def test_bounds_that_are_none_are_refused(self, growth):
         with pytest.raises(ValueError, match="growth must be a finite number > 1, got"):
             ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0, growth=growth)

@@ -233,3 +233,12 @@ def test_errors_of_runs_say_when_and_keep_what_they_know():
     again = pickle.loads(pickle.dumps(error))
     assert (str(again), again.element) == (str(error), 12)
     assert ec.EvolutionError("it broke", 7, 0.35).element is None
+
+
+def test_a_changed_state_has_no_products_of_the_old_one():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    *_, last = ec.evolve(space, ec.problems.growing_sphere(), 1, 0.1, 0.2)
+    assert set(last.products) == {"u"}
+    doubled = dataclasses.replace(last, fields={"u": 2 * last.u})
+    assert (dict(doubled.products), doubled.method) == ({}, None)
+    assert doubled.space is space
