@@ -6,6 +6,7 @@ from esfem_core.elements.lifting import squared_differences
 from esfem_core.elements.numbering import flat_triangles
 from esfem_core.elements.probing import ClosestPoints, closest_points, probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
+from esfem_core.elements.recovery import Smoothing, nodal_average, smoothed
 from esfem_core.elements.scatter import combination, with_data
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.elements.surface import Surface
@@ -16,14 +17,17 @@ __all__ = [
     "DegenerateElementError",
     "ElementError",
     "NotFiniteError",
+    "Smoothing",
     "Surface",
     "SurfaceSpace",
     "TriangleRule",
     "closest_points",
     "combination",
     "flat_triangles",
+    "nodal_average",
     "node_indices",
     "probe",
+    "smoothed",
     "squared_differences",
     "tabulate",
     "triangle_rule",
