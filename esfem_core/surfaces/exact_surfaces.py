@@ -11,9 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from esfem_core.checks import Array, Bools, finite_array, number
+from esfem_core.surfaces.differences import derivative
+from esfem_core.surfaces.level_set import Field, central_gradient, project_to_level_set
 
-__all__ = ["Ellipsoid", "ExactSurface", "Near", "Sphere", "Torus"]
+__all__ = ["Ellipsoid", "ExactSurface", "LevelSet", "Near", "Sphere", "Torus"]
 
+DIFFERENCE = 2e-3  # step of differences of fourth order, relative to the coordinates
 CONVERGED = 1e-8  # error of the ellipsoid's equation before the last Newton step squares it
 
 
@@ -70,6 +73,14 @@ class ExactSurface(ABC):
     def closest(self, x: Array) -> Array:
         """Closest points p, for `project` of :class:`esfem_core.SurfaceSpace`."""
         return self.near(x).points
+
+    def normal(self, x: Array) -> Array:
+        """Unit outward normals at the closest points, (..., 3)."""
+        return self.near(x).normal
+
+    def mean_curvature(self, x: Array) -> Array:
+        """Sum of the principal curvatures at the closest points, (...)."""
+        return self.near(x).mean_curvature
 
 
 @dataclass(frozen=True)
@@ -215,6 +226,66 @@ class Ellipsoid(ExactSurface):
         _refuse(x, ~((np.abs(q - 1) <= CONVERGED) & (s > -squares.min())), "ellipsoid")
         points: Array = x / (1 + s[..., None] / squares)
         return points
+
+
+@dataclass(frozen=True)
+class LevelSet(ExactSurface):
+    """The surface {d = 0} of a function that need not be a distance.
+
+    With g = grad d and P the projection to the tangent plane, the Weingarten map is
+    P (grad grad d) P/|g|.
+
+    Parameters
+    ----------
+    d : callable
+        (n, 3) -> (n,), smooth, zero on the surface, positive outside.
+    gradient : callable, optional
+        (n, 3) -> (n, 3), its gradient; by central differences if None. Second derivatives are
+        differences of the gradient if it is given, with a relative error of about 1e-11, and
+        otherwise of d, with about 1e-9.
+
+    Examples
+    --------
+    >>> ellipsoid = LevelSet(lambda x: (x**2 / [4, 1, 1]).sum(axis=1) - 1)
+    >>> print(ellipsoid.mean_curvature(np.array([[2.0, 0.0, 0.0], [0.0, 1.0, 0.0]])).round(7))
+    [4.   1.25]
+    """
+
+    d: Field
+    gradient: Field | None = None
+
+    def near(self, x: Array) -> Near:  # noqa: D102
+        shape = np.shape(finite_array("x", x, ("...", 3)))
+        x = np.reshape(x, (-1, 3))
+        points = project_to_level_set(self.d, self.gradient)(x)
+        gradient = (self.gradient or central_gradient(self.d))(points)
+        size = np.linalg.norm(gradient, axis=-1, keepdims=True)
+        normal = gradient / size
+        P = np.eye(3) - _outer(normal)
+        weingarten = P @ self._hessian(points) @ P / size[..., None]
+        distance = np.sum((x - points) * normal, axis=-1)
+        return Near(
+            points.reshape(shape),
+            distance.reshape(shape[:-1]),
+            normal.reshape(shape),
+            weingarten.reshape(*shape, 3),
+        )
+
+    def _hessian(self, points: Array) -> Array:
+        """Second derivatives of d, (n, 3, 3)."""
+        step = DIFFERENCE * (float(np.abs(points).max(initial=0)) or 1.0)
+
+        def slope(function: Field, x: Array, e: Array) -> Array:
+            return derivative(lambda s: function(x + s * e), order=4, step=step)
+
+        def differences(x: Array) -> Array:
+            return np.stack([slope(self.d, x, e) for e in np.eye(3)], axis=-1)
+
+        gradient = differences if self.gradient is None else self.gradient
+        rows = [slope(gradient, points, e) for e in np.eye(3)]
+        hessian = np.stack(rows, axis=-1)
+        symmetric: Array = (hessian + np.swapaxes(hessian, 1, 2)) / 2
+        return symmetric
 
 
 def _outer(n: Array) -> Array:
