@@ -31,6 +31,17 @@ class Law(Protocol):
         """Functions that the law needs."""
         return {}
 
+    def initial(self, at: Surface) -> Mapping[str, Array]:
+        """Initial values of those functions of the law whose species have None, on the mesh."""
+        return {}
+
+    def equations(self, tau: float, past: Array) -> Mapping[str, Species]:
+        """What the law's functions solve in this step: `species`.
+
+        Others, if they are implicit in the position x^n = tau v^n - past, as for `velocity`.
+        """
+        return self.species
+
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:

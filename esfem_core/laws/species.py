@@ -70,9 +70,10 @@ class Species:
 
     Parameters
     ----------
-    initial : callable, array or float
+    initial : callable, array, float or None
         Initial values: of points (N, 3), returning (N,) or (N, m); or the nodal values; or a
-        constant.
+        constant. None for a function of a law that makes its own from the mesh, see
+        :meth:`esfem_core.laws.Law.initial`.
     source : callable, optional
         ``source(at)`` on a :class:`esfem_core.Surface`: values of the shape of u there, (T, Q) or
         (T, Q, m); or a pair (values, flux), values possibly None, flux (T, Q, 3) or (T, Q, m, 3),
@@ -98,7 +99,7 @@ class Species:
     True
     """
 
-    initial: Callable[[Array], ArrayLike] | ArrayLike
+    initial: Callable[[Array], ArrayLike] | ArrayLike | None
     source: Callable[[Surface], Any] | None = None
     rate: float | Callable[[Surface], Array] | None = None
     diffusivity: float | Array | Callable[[Surface], Array] = 1.0

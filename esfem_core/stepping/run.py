@@ -89,9 +89,9 @@ def evolve(
         p = 1 it misses the change of the mass altogether.
     start : {"exact", "euler"} or sequence of p or more states, optional
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
-        the default if it is given. "euler": linearly implicit Euler steps, extrapolated to
-        order p, with updated mass matrices. Otherwise the states to start from, of which the last
-        p count, a step apart: the run goes on from the last one. From its own states it goes on
+        the default if it is given with all functions. "euler": linearly implicit Euler steps,
+        extrapolated to order p, with updated mass matrices. Otherwise the states to start from, of
+        which the last p count, a step apart: the run goes on from the last one. From its own states it goes on
         exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes states that
         are another step apart.
         Exact values at (p - 1) tau also restart the error of space there: to compare runs with
@@ -242,15 +242,22 @@ def _checked_start(
 ) -> StartName | list[State]:
     """How to start, or the states to start from."""
     number("step", step, above=0)
+    exact = problem.exact
+    missing = [n for n in problem.all_species if exact is None or n not in exact.functions]
     if start is None:
-        start = "exact" if problem.exact is not None else "euler"
+        start = "euler" if exact is None or missing else "exact"
     if isinstance(start, str):
         if start not in get_args(StartName):
             raise ValueError(
                 f'start must be "exact", "euler" or a sequence of states, got {start!r}'
             )
-        if start == "exact" and problem.exact is None:
+        if start == "exact" and exact is None:
             raise ValueError('start="exact" needs a problem with an exact solution')
+        if start == "exact" and missing:
+            raise ValueError(
+                f'start="exact" needs exact values of {", ".join(map(repr, missing))}: '
+                "Exact(..., fields={name: function})"
+            )
         return start
     if not isinstance(start, Sequence):
         raise TypeError(

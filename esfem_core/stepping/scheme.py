@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.checks import Array, finite_array
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
@@ -138,14 +138,19 @@ class Scheme:
             normal = _not_turned(at, normal)
         w = law.slip(at) if hasattr(law, "slip") else None
 
-        levels = _Levels(history, d, step, at, w, extra)
-        functions, products = self._diffuse(self.problem.law_species, levels, at.M, at.x)
         if given is None and "x" in extra:
             x_past = x_past - step * extra["x"]
         if w is not None:
-            x_past = x_past - step * real_array("the slip", w, x_past.shape)
+            x_past = x_past - step * finite_array("the slip", w, x_past.shape)
+        tau, past = step / d[0], x_past / d[0]
+
+        own = self.problem.law_species
+        if hasattr(law, "equations"):
+            own = law.equations(tau, past)
+        levels = _Levels(history, d, step, at, w, extra)
+        functions, products = self._diffuse(own, levels, at.M, at.x)
         solve = self._law_solver(extra.get("v"))
-        v = law.velocity(at, dict(functions), step / d[0], x_past / d[0], solve)
+        v = law.velocity(at, dict(functions), tau, past, solve)
         v = finite_array("the velocity of the law", v, at.x.shape)
         x = (step * v - x_past) / d[0] if given is None else given
 
@@ -203,7 +208,8 @@ class Scheme:
             nonlocal count
             count += 1
             if count == 1 and extra is not None:
-                b = b + extra
+                b = b.copy()
+                b[:, : extra.shape[1]] += extra  # beside it may stand other right-hand sides
             return self.systems.solve_again(f"law {count}", K, b)
 
         return solve
@@ -246,7 +252,7 @@ class _Levels:
         return b
 
     def _carried(self, name: str, species: Species, slip: Array) -> Array:
-        """What nodes that slip with w would carry along: -div(u w) phi, or -(w . grad u) phi."""
+        """What nodes that slip with w meet on their way: div(u w) phi, or (w . grad u) phi."""
         w = self.at.space.evaluate(slip)
         u = self.at[name]
         w = w.reshape(*w.shape[:2], *(1,) * (u.ndim - 2), 3)

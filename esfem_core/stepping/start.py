@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from esfem_core.checks import Array, number
-from esfem_core.elements import SurfaceSpace
+from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import Guard
 from esfem_core.stepping.scheme import Scheme
@@ -62,7 +62,10 @@ def exact_starts(space: SurfaceSpace, problem: Problem, order: int, step: float)
 
 def initial_state(space: SurfaceSpace, problem: Problem) -> State:
     """The initial values on the initial surface."""
-    fields = problem.initial_values(space.nodes)
+    values = problem.initial_values(space.nodes)
+    if len(values) < len(problem.all_species):
+        values |= problem.law.initial(Surface(space, space.nodes))
+    fields = {name: values[name] for name in problem.all_species}
     return State(0.0, space.nodes, None, space=space, fields=fields)
 
 
