@@ -1,9 +1,26 @@
 """How a surface moves, and what moves with it: one law, one file."""
 
+from esfem_core.laws.dynamic import Dynamic
 from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
+from esfem_core.laws.slip import Elastic, with_slip
 from esfem_core.laws.species import Part, Species
 from esfem_core.laws.values import values_at
+from esfem_core.laws.volume_preserving import VolumePreserving
 
-__all__ = ["Law", "Part", "Prescribed", "Regularised", "Solve", "Species", "values_at"]
+__all__ = [
+    "Dynamic",
+    "Elastic",
+    "Law",
+    "MeanCurvature",
+    "Part",
+    "Prescribed",
+    "Regularised",
+    "Solve",
+    "Species",
+    "VolumePreserving",
+    "values_at",
+    "with_slip",
+]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from esfem_core.checks import Array, number, shown
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
-from esfem_core.laws.values import values_at
+from esfem_core.laws.values import force_at
 
 __all__ = ["Regularised"]
 
@@ -60,10 +60,7 @@ class Regularised(Law):
 
     def load(self, at: Surface) -> Array | None:
         """Load vector of g nu, (N, 3); None if g is zero."""
-        if self.g is None:
-            return None
-        g = values_at("g", self.g(at), at, [(), (3,)])
-        return at.load(g[..., None] * at.normal if g.ndim == 2 else g)
+        return None if self.g is None else at.load(force_at(self.g, at))
 
     def residual(self, at: Surface, x: Array, v: Array) -> Array:
         """K v + beta A x - g with matrices and g on the surface `at`, (N, 3): zero in (2.20)."""

@@ -1,14 +1,15 @@
 """What users' functions of a surface return, checked before anything is computed from it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from esfem_core.checks import Array, real_array
 from esfem_core.elements import NotFiniteError, Surface
 
-__all__ = ["Function", "values_at"]
+__all__ = ["Function", "Once", "force_at", "values_at"]
 
 Function = Callable[[Surface], Array]
 
@@ -54,3 +55,30 @@ def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[in
             f"{name} returned {values[element, point]} in element {element} at {where}", element
         )
     return values
+
+
+def force_at(g: Function, at: Surface) -> Array:
+    """The force g nu, (T, Q, 3), of a speed g(at), (T, Q); or g(at) itself, if it is a force."""
+    values = values_at("g", g(at), at, [(), (3,)])
+    return values[..., None] * at.normal if values.ndim == 2 else values
+
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class Once(Generic[Key, Value]):
+    """A function that is computed once for each object, such as a surface, while that exists."""
+
+    def __init__(self, function: Callable[[Key], Value]) -> None:
+        self._function = function
+        self._known: WeakKeyDictionary[Key, Value] = WeakKeyDictionary()
+
+    def __call__(self, key: Key) -> Value:
+        """What the function returns, or has returned."""
+        if key not in self._known:
+            self._known[key] = self._function(key)
+        return self._known[key]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Once, (self._function,)

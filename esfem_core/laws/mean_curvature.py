@@ -1,0 +1,163 @@
+r"""Mean curvature flow with the normal and the curvature evolved.
+
+For a surface that moves with v = V nu, the normal nu and H = div nu, the sum of the principal
+curvatures, obey (G. Huisken 1984; ' is the material derivative, |A|^2 = |grad nu|^2)::
+
+    nu' = -grad V,        H' = -lap V - |A|^2 V.
+
+With V = g - beta H and grad H = lap nu + |A|^2 nu they become parabolic::
+
+    nu' = beta lap nu + beta |A|^2 nu - grad g
+    H'  = beta lap H  + beta |A|^2 H  - lap g - |A|^2 g,
+
+which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
+Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. As there,
+v is the nodal product (g - beta H) nu of the evolved functions.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.elements import Surface, nodal_average, smoothed
+from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.species import Species
+from esfem_core.laws.values import Once, values_at
+
+__all__ = ["MeanCurvature"]
+
+Initial = Callable[[Array], ArrayLike] | Array
+
+
+@dataclass(frozen=True, eq=False)
+class MeanCurvature(Law):
+    r"""v = (g - beta H) nu, with nu and H from equations of their own.
+
+    It carries the functions "normal", (N, 3), and "H", (N,), which are not those of the discrete
+    surface but of one order more. Degree 1 runs, but is outside the theory.
+
+    Parameters
+    ----------
+    beta : float
+        Weight of the mean curvature H, positive.
+    g : callable, optional
+        Speed along the normal: ``g(x, t)`` at points (N, 3), returning (N,); or ``g(at)`` on a
+        :class:`esfem_core.Surface`, (T, Q), which may depend on species. Its gradient is that of
+        a finite element function: of the nodal values of g(x, t), or of the nodal averages of
+        g(at) (:func:`esfem_core.elements.nodal_average`), to which a polynomial of degree k in
+        the species is equal up to order k + 1. None is zero.
+    normal, curvature : callable or array, optional
+        Initial values: of points (N, 3) of the initial surface, or nodal ones; such as the methods
+        `normal` and `mean_curvature` of an :mod:`exact surface <esfem_core.exact_surfaces>`. None
+        takes them from the mesh, smoothed (:func:`esfem_core.elements.smoothed`).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range or no function where one is needed.
+
+    Examples
+    --------
+    A shrinking sphere, r^2 = 1 - 4 t:
+
+    >>> import esfem_core as ec
+    >>> sphere = ec.exact_surfaces.Sphere()
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, sphere.closest)
+    >>> law = ec.laws.MeanCurvature(normal=sphere.normal, curvature=sphere.mean_curvature)
+    >>> *_, last = ec.evolve(space, ec.Problem(law=law), order=3, step=1 / 200, end=0.1)
+    >>> print(f"{np.linalg.norm(last.x, axis=1).mean() ** 2:.4f} {last['H'].mean() ** -2:.4f}")
+    0.6000 0.1500
+    """
+
+    beta: float = 1.0
+    g: Callable[..., ArrayLike] | None = None
+    normal: Initial | None = None
+    curvature: Initial | None = None
+    forcing: Callable[[Surface], Array | None] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        number("beta", self.beta, above=0)
+        if self.g is not None and not callable(self.g):
+            raise TypeError(f"g must be a function g(at) or g(x, t), or None, got {shown(self.g)}")
+        object.__setattr__(self, "forcing", Once(self._forcing))
+
+    @property
+    def species(self) -> Mapping[str, Species]:
+        """The normal and the mean curvature."""
+        options: dict[str, Any] = {"diffusivity": self.beta, "conserved": False}
+        return {
+            "normal": Species(self.normal, self._normal_source, **options),
+            "H": Species(self.curvature, self._curvature_source, **options),
+        }
+
+    def initial(self, at: Surface) -> Mapping[str, Array]:
+        """Normal and curvature of the mesh, where they are not given."""
+        normal = self.normal
+        if normal is None:
+            normal = smoothed(at, at.normal)
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        elif callable(normal):
+            normal = finite_array("normal", normal(at.x.copy()), at.x.shape)
+        values: dict[str, Array] = {} if self.normal is not None else {"normal": normal}
+        if self.curvature is None:
+            gradient = at.space.gradient(at.x, normal)
+            values["H"] = smoothed(at, np.trace(gradient, axis1=-2, axis2=-1))
+        return values
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        """(g - beta H) nu at the nodes."""
+        speed = -self.beta * new["H"]
+        g = self.forcing(at)
+        if g is not None:
+            speed = speed + g
+        v: Array = speed[:, None] * new["normal"]
+        return v
+
+    def _normal_source(self, at: Surface) -> Array:
+        """Beta |A|^2 nu - grad g."""
+        values = self.beta * _squared_weingarten(at)[..., None] * at["normal"]
+        g = self.forcing(at)
+        if g is not None:
+            values -= at.space.gradient(at.x, g)
+        return values
+
+    def _curvature_source(self, at: Surface) -> Array | tuple[Array, Array]:
+        """|A|^2 (beta H - g) - div(grad g)."""
+        square, g = _squared_weingarten(at), self.forcing(at)
+        if g is None:
+            return self.beta * square * at["H"]
+        values = square * (self.beta * at["H"] - at.space.evaluate(g))
+        return values, at.space.gradient(at.x, g)
+
+    def _forcing(self, at: Surface) -> Array | None:
+        """Nodal values of g."""
+        if self.g is None:
+            return None
+        if _takes_points(self.g):
+            return finite_array("g(x, t)", self.g(at.x.copy(), at.t), (len(at.x),))
+        return nodal_average(at, values_at("g", self.g(at), at, [()]))
+
+
+def _squared_weingarten(at: Surface) -> Array:
+    """|A|^2, the sum of the squares of the principal curvatures, (T, Q)."""
+    A = at.grad("normal")
+    square: Array = np.einsum("tqij,tqij->tq", A, A)
+    return square
+
+
+def _takes_points(g: Callable[..., Any]) -> bool:
+    """Whether g is called with (x, t) and not with a surface."""
+    needed = [
+        p
+        for p in signature(g).parameters.values()
+        if p.default is Parameter.empty
+        and p.kind in (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
+    ]
+    return len(needed) == 2

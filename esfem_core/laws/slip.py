@@ -1,0 +1,208 @@
+r"""Nodes that slip along the surface, so that its triangles stay good.
+
+Particles move with v, nodes with v + w, w tangential. With nodes and test functions that follow
+v + w, what a species meets on its way is (C. M. Elliott, V. Styles, Milan J. Math. 80, 2012)::
+
+    d/dt int u phi + ... = ... - int u w . grad phi         (conserved)
+    int (du/dt) phi + ... = ... + int (w . grad u) phi      (not conserved)
+
+which the scheme does for every species, and v is given w for the new positions: the amounts stay,
+as phi = 1 shows.
+
+The built-in slips relax the elastic energy of the map X from the initial surface to the present
+one,
+
+    E = 1/2 int |grad X|^2 + (a/2) int J^2/mean(J),      J the factor of areas,
+
+along the surface only. With a = 0 this is the harmonic map heat flow, the DeTurck trick of
+C. M. Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a sphere harmonic maps are conformal,
+and keep the angles of the triangles, but not their sizes. J^2 keeps the sizes: the least
+deformation is between the two. With nodal derivatives f = dE/dx, matrices on the initial surface
+and P the projections to the tangent planes at the nodes,
+
+    w = -rate P B P f,     B = s (M + s A)^{-1},     dE/dt = -rate (P f)' B (P f) <= 0.
+
+B makes w smooth and slow, so that it may be explicit: all wave lengths relax with about `rate`.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from esfem_core.checks import Array, finite_array, number, one_of, shown
+from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
+from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.prescribed import Prescribed
+from esfem_core.laws.species import Species
+from esfem_core.laws.values import Once
+from esfem_core.solvers import factorise
+
+__all__ = ["Elastic", "with_slip"]
+
+SlipName = Literal["elastic", "harmonic"]
+Slip = Callable[[Surface], Array]
+
+
+class Elastic:
+    """The slip towards the least elastic deformation of the initial surface.
+
+    On an ellipsoid that is sheared or stretched to three times its length, angles stay twice to
+    three times as large as without; with ``area=0`` angles are a little better, but triangles
+    crowd. One system is solved per step, and three more for normals unless the law has them, with
+    matrices that never change.
+
+    Parameters
+    ----------
+    rate : float
+        How fast, per unit of time; larger than the rate at which the surface deforms. It is
+        explicit: rate times the step must stay below 2, 4/3, 0.95, 0.7, 0.5 for p = 1, ..., 5, and
+        below a tenth of that where the deformation is strong.
+    area : float
+        The weight a of the areas; 0 makes the map harmonic.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range.
+    """
+
+    def __init__(self, rate: float = 10.0, area: float = 1.0) -> None:
+        self.rate = number("rate", rate, above=0)
+        self.area = number("area", area, least=0)
+        self._reference = Once(_Reference)
+
+    def __repr__(self) -> str:
+        return f"Elastic(rate={self.rate:g}, area={self.area:g})"
+
+    def __call__(self, at: Surface) -> Array:
+        """Velocity w of the nodes, (N, 3)."""
+        first = self._reference(at.space)
+        n = at.fields.get("normal")  # of mean curvature flow
+        if n is None:
+            n = first.smoothed(nodal_average(at, at.normal))
+        n = n / np.linalg.norm(n, axis=1, keepdims=True)
+        force = first.at.A @ at.x
+        if self.area:
+            J = at.density / first.at.density
+            J *= self.area / first.at.mean(J)
+            force += at.load(None, flux=J[..., None, None] * np.eye(3))
+        return -self.rate * _tangential(first.relaxed(_tangential(force, n)), n)
+
+
+class _Reference:
+    """The initial surface, and what is solved on it."""
+
+    def __init__(self, space: SurfaceSpace) -> None:
+        self.at = at = Surface(space, space.nodes)
+        area = float(at.integral(1.0))
+        self._s = area / (4 * np.pi)  # the square of the radius of a sphere as large
+        self._relax = factorise(at.matrix(1.0, self._s), space.fronts, np.float64)
+        self._smoothing = Smoothing(at)
+
+    def relaxed(self, b: Array) -> Array:
+        """B b."""
+        return self._s * self._relax.solve(b)
+
+    def smoothed(self, w: Array) -> Array:
+        """Nodal values without what changes sign within each element."""
+        return self._smoothing(self.at.M @ w)
+
+
+NAMED: Mapping[str, Callable[[], Slip]] = {
+    "elastic": Elastic,
+    "harmonic": partial(Elastic, area=0.0),
+}
+
+
+def with_slip(law: Law, w: Slip | SlipName) -> Law:
+    """The law, with nodes that move with v + w.
+
+    Parameters
+    ----------
+    law : Law
+        Not one that knows the positions of its nodes, ``Prescribed(motion=X)``. For
+        ``Prescribed(velocity=v)`` the nodes are no longer exact, but of order p.
+    w : callable or {"elastic", "harmonic"}
+        ``w(at)`` on a :class:`esfem_core.Surface`: (N, 3), the tangential velocity of the nodes
+        against the particles. A normal part would move the surface. "elastic" keeps angles
+        and sizes of the triangles near those at the start, "harmonic" angles only: ``Elastic()``
+        and ``Elastic(area=0)``, see there.
+
+    Returns
+    -------
+    Law
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `w` is no function and no name of a slip, or the law cannot have one.
+
+    Examples
+    --------
+    A mesh that turns on a sphere at rest:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> law = ec.laws.with_slip(
+    ...     ec.laws.Prescribed(velocity=lambda x, t: 0 * x), lambda at: np.cross([0, 0, 1], at.x)
+    ... )
+    >>> problem = ec.Problem(species={"u": ec.Species(lambda x: x[:, 0])}, law=law)
+    >>> *_, last = ec.evolve(space, problem, order=4, step=np.pi / 100, end=np.pi / 2)
+    >>> bool(abs(last.x[:, 1] - space.nodes[:, 0]).max() < 1e-5)
+    True
+    >>> print(f"{abs(last.u - np.exp(-2 * last.t) * last.x[:, 0]).max():.0e}")
+    9e-06
+    """
+    if not (hasattr(law, "velocity") and hasattr(law, "species")):
+        raise TypeError(f"law must be a law, got {shown(law)}")
+    if isinstance(law, _Slipping):
+        raise ValueError("this law slips already: add the two velocities to one")
+    if hasattr(law, "position") and not (isinstance(law, Prescribed) and law.motion is None):
+        raise ValueError(
+            "nodes whose positions are prescribed cannot slip: Prescribed(velocity=v) can"
+        )
+    if callable(w):
+        return _Slipping(law, w)
+    if not isinstance(w, str):
+        raise TypeError(f"w must be a function of a Surface or a name, got {shown(w)}")
+    return _Slipping(law, NAMED[one_of("w", w, SlipName)]())
+
+
+class _Slipping(Law):
+    """See :func:`with_slip`."""
+
+    def __init__(self, law: Law, w: Slip) -> None:
+        self.law, self.w = law, w
+
+    def __repr__(self) -> str:
+        return f"with_slip({self.law!r}, {self.w!r})"
+
+    @property
+    def species(self) -> Mapping[str, Species]:
+        return self.law.species
+
+    def initial(self, at: Surface) -> Mapping[str, Array]:
+        return self.law.initial(at)
+
+    def equations(self, tau: float, past: Array) -> Mapping[str, Species]:
+        law = self.law
+        return law.equations(tau, past) if hasattr(law, "equations") else law.species
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        law = self.law
+        if isinstance(law, Prescribed):
+            assert law.field is not None
+            return law.field(at.x, at.t)
+        return law.velocity(at, new, tau, past, solve)
+
+    def slip(self, at: Surface) -> Array:
+        return finite_array("w(at)", self.w(at), at.x.shape)
+
+
+def _tangential(w: Array, n: Array) -> Array:
+    t: Array = w - (w * n).sum(axis=1, keepdims=True) * n
+    return t

@@ -1,0 +1,105 @@
+r"""A law with a uniform pressure that keeps the enclosed volume.
+
+The volume changes by int v . nu. So g becomes g - lambda(t), with lambda such that
+int v . nu = 0 on the extrapolated surface. By linearity v = v_1 - lambda v_2, where v_1 is the
+law's velocity and v_2 the answer to a unit force along the normal:
+
+- regularised law: K v_2 = load(nu), solved together with v_1 by one factorisation;
+- mean curvature flow: v_2 = nu. Here lambda = mean(g - beta H) also stands in the equation of H,
+  where, as all of g, it is extrapolated. For g = 0 this is V = beta (mean(H) - H), the flow of
+  G. Huisken (J. reine angew. Math. 382, 1987).
+
+What is left is the drift between the two surfaces, of order p in time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from esfem_core.checks import Array, shown
+from esfem_core.elements import Surface
+from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.mean_curvature import MeanCurvature
+from esfem_core.laws.regularised import Regularised
+from esfem_core.laws.species import Species
+
+__all__ = ["VolumePreserving"]
+
+
+@dataclass(frozen=True, eq=False)
+class VolumePreserving(Law):
+    """The law with g - lambda(t) in place of g, where lambda keeps the enclosed volume.
+
+    Parameters
+    ----------
+    law : Regularised or MeanCurvature
+
+    Raises
+    ------
+    TypeError
+        If the law is another.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> axes = (1.2, 1.0, 0.9)
+    >>> tri = ec.sphere("octahedron", 3).apply_scale(axes)
+    >>> space = ec.SurfaceSpace(tri, 2, ec.exact_surfaces.Ellipsoid(axes).closest)
+    >>> law = ec.laws.VolumePreserving(ec.laws.MeanCurvature())
+    >>> run = ec.evolve(space, ec.Problem(law=law), order=2, step=1 / 100, end=0.3)
+    >>> first, *_, last = (ec.measure(state) for state in run)
+    >>> last.area < first.area, bool(abs(last.volume / first.volume - 1) < 1e-4)
+    (True, True)
+    """
+
+    law: Regularised | MeanCurvature
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, Regularised | MeanCurvature):
+            raise TypeError(
+                f"law must be a Regularised or a MeanCurvature, got {shown(self.law)}; slip comes "
+                "last, with_slip(VolumePreserving(law), w)"
+            )
+
+    @property
+    def species(self) -> Mapping[str, Species]:
+        """Those of the law, with the pressure."""
+        return self._pressed.species
+
+    def initial(self, at: Surface) -> Mapping[str, Array]:
+        """As the law's."""
+        return self.law.initial(at)
+
+    def velocity(
+        self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
+    ) -> Array:
+        """v_1 - lambda v_2 with int v . nu = 0."""
+        flux = at.load(at.normal)
+        if isinstance(self.law, MeanCurvature):
+            first, second = self.law.velocity(at, new, tau, past, solve), new["normal"]
+        else:
+            both = self.law.velocity(
+                at, new, tau, past, lambda K, b: solve(K, np.hstack([b, flux]))
+            )
+            first, second = both[:, :3], both[:, 3:]
+        v: Array = first - np.vdot(flux, first) / np.vdot(flux, second) * second
+        return v
+
+    @property
+    def _pressed(self) -> Regularised | MeanCurvature:
+        law = self.law
+        if isinstance(law, Regularised):
+            return law
+        return _Pressed(law.beta, law.g, law.normal, law.curvature)
+
+
+class _Pressed(MeanCurvature):
+    """Mean curvature flow with g - mean(g - beta H) in place of g."""
+
+    def _forcing(self, at: Surface) -> Array:
+        g = super()._forcing(at)
+        if g is None:
+            g = np.zeros(len(at.x))
+        pressed: Array = g - at.mean(at.space.evaluate(g) - self.beta * at["H"])
+        return pressed
