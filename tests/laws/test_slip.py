@@ -1,0 +1,160 @@
+"""Nodes that slip: what does not change, what is kept, and triangles that stay good."""
+
+import numpy as np
+import pytest
+from temporal import fine_run, temporal_orders
+
+import esfem_core as ec
+from esfem_core.study import final
+
+
+def ellipsoid_space(axes, refinements):
+    tri = ec.sphere("icosahedron", refinements).apply_scale(axes)
+    return ec.SurfaceSpace(tri, 2, ec.exact_surfaces.Ellipsoid(axes).closest)
+
+
+SPHERE = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 6, ec.to_unit_sphere)
+COARSE = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+REST = {
+    "prescribed": ec.laws.Prescribed(velocity=lambda x, t: 0 * x),
+    "regularised": ec.laws.Regularised(0.5, 1.0, lambda at: 2 + 0 * at.density),
+    "mean curvature": ec.laws.MeanCurvature(
+        1.0, lambda at: 2 + 0 * at.density, lambda x: x, lambda x: 0 * x[:, 0] + 2
+    ),
+    "dynamic": ec.laws.Dynamic(0.0, 0.5, 1.0, lambda at: 2 + 0 * at.density),
+}
+
+
+def turn(at):
+    """Unevenly in space, as a rigid motion would hide much."""
+    return np.cross(np.outer(1 + at.x[:, 2] ** 2, [0, 0, 1]), at.x)
+
+
+BY_LAW = pytest.mark.parametrize("law", REST.values(), ids=REST)
+BOTH = {
+    "u": ec.Species(lambda x: 2 + x[:, 0]),
+    "w": ec.Species(lambda x: 2 + x[:, 0], conserved=False),
+}
+
+
+@BY_LAW
+def test_a_turning_mesh_on_a_resting_sphere(law):
+    """The nodes turn, the sphere rests, and u = 2 + e^{-2t} x1, as if they did not."""
+    problem = ec.Problem(species=BOTH, law=ec.laws.with_slip(law, turn))
+    last = final(ec.evolve(SPHERE, problem, 3, 1 / 160, 0.5))
+    np.testing.assert_allclose(np.linalg.norm(last.x, axis=1), 1, atol=1e-5)
+    x, y, z = SPHERE.nodes.T
+    angle = 0.5 * (1 + z**2)
+    turned = [x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z]
+    np.testing.assert_allclose(last.x, np.transpose(turned), atol=2e-5)
+    for name in BOTH:
+        np.testing.assert_allclose(last[name], 2 + np.exp(-1.0) * last.x[:, 0], atol=2e-5)
+
+
+@pytest.mark.slow
+@BY_LAW
+def test_orders_in_time_of_a_turning_mesh(law):
+    """Order p for all, also where tension is implicit in the new positions."""
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    problem = ec.Problem(species=BOTH, law=ec.laws.with_slip(law, turn))
+    fine = fine_run(space, problem, 1 / 1280, 0.4, settled=0.1)
+    for p in range(1, 6):
+        orders = temporal_orders(space, problem, p, [1 / 160, 1 / 320], fine)
+        for name in ("x", "u", "w"):  # the particles rest to rounding
+            assert orders[name] > p - 0.4, (p, name)
+
+
+U = {"u": ec.Species(lambda x: 1 + x[:, 0] * x[:, 1])}
+MOVING = {
+    "prescribed": ec.laws.Prescribed(velocity=lambda x, t: x * [0.3, 0, -0.2]),
+    "regularised": ec.laws.Regularised(0.1, 0.5, lambda at: at.u),
+    "mean curvature": ec.laws.MeanCurvature(0.5, lambda at: at.u),
+    "dynamic": ec.laws.Dynamic(0.0, 0.3, 0.5, lambda at: at.u),
+    "volume": ec.laws.VolumePreserving(ec.laws.Regularised(0.1, 0.5, lambda at: at.u)),
+    "curvature and volume": ec.laws.VolumePreserving(ec.laws.MeanCurvature(0.5, lambda at: at.u)),
+}
+
+
+@pytest.mark.parametrize("slip", [None, turn, "elastic"], ids=str)
+@pytest.mark.parametrize("law", MOVING.values(), ids=MOVING)
+def test_amounts_are_kept_under_every_law(law, slip):
+    law = law if slip is None else ec.laws.with_slip(law, slip)
+    run = ec.evolve(COARSE, ec.Problem(species=U, law=law), 3, 0.01, 0.1, solver="direct")
+    amounts = [COARSE.mass_times(state.x, state.u).sum() for state in run]
+    assert np.ptp(amounts) < 1e-11 * abs(amounts[0])
+
+
+def test_the_surface_does_not_depend_on_the_slip():
+    """Curvature flow of an ellipsoid: area, volume and H of two runs agree, as h^k allows."""
+    axes = (1.2, 1.0, 0.9)
+    space, ellipsoid = ellipsoid_space(axes, 2), ec.exact_surfaces.Ellipsoid(axes)
+    law = ec.laws.MeanCurvature(0.5, None, ellipsoid.normal, ellipsoid.mean_curvature)
+    runs = []
+    for one in (
+        law,
+        ec.laws.with_slip(law, "elastic"),
+        ec.laws.with_slip(law, ec.laws.Elastic(40)),
+    ):
+        runs.append(final(ec.evolve(space, ec.Problem(1.0, law=one), 3, 1 / 200, 0.2)))
+    for state in runs[1:]:
+        assert abs(state.x - runs[0].x).max() > 1e-3
+        for name in ("area", "volume"):
+            values = [getattr(ec.measure(s), name) for s in (state, runs[0])]
+            assert values[0] == pytest.approx(values[1], rel=1e-4)
+
+
+def smallest_angle(space, x):
+    corners = x[space.cells[:, :3]]
+    a = np.roll(corners, -1, axis=1) - corners
+    b = np.roll(corners, 1, axis=1) - corners
+    cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
+    return np.degrees(np.arccos(cosine)).min()
+
+
+@pytest.mark.parametrize(
+    ("field", "without", "least"),
+    [
+        (lambda x, t: np.cross(np.outer(3 * np.sin(2 * x[:, 2]), [0, 0, 1]), x), 6, 25),
+        (lambda x, t: x @ np.array([[0, 0, 0], [2, 0, 0], [0, 0, 0.0]]), 12, 25),
+        (lambda x, t: x * [1.2, -0.6, -0.6], 10, 17),
+    ],
+    ids=["twist", "shear", "stretch"],
+)
+def test_elastic_slip_keeps_triangles_good(field, without, least):
+    """Smallest angles of 54 degrees at the start; the shapes are stretched up to sixfold."""
+    law = ec.laws.Prescribed(velocity=field)
+    angles = []
+    for one in (law, ec.laws.with_slip(law, "elastic")):
+        last = final(ec.evolve(COARSE, ec.Problem(1.0, law=one), 2, 1 / 100, 1.0))
+        angles.append(smallest_angle(COARSE, last.x))
+    assert angles[0] < without
+    assert angles[1] > least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slip", ["elastic", "harmonic"])
+def test_orders_in_time_with_the_built_in_slips(slip):
+    law = ec.laws.with_slip(ec.laws.Regularised(0.1, 1.0, lambda at: 0.3 * at.u), slip)
+    space = ellipsoid_space((1.3, 1.0, 0.8), 1)
+    problem = ec.Problem(lambda x: 1 + x[:, 0] * x[:, 1], law=law)
+    fine = fine_run(space, problem, 1 / 1280, 0.4, settled=0.1)
+    for p in range(1, 5):
+        for name, order in temporal_orders(space, problem, p, [1 / 160, 1 / 320], fine).items():
+            assert order == pytest.approx(p, abs=0.45), (p, name)
+
+
+def test_refused():
+    law = ec.laws.Regularised()
+    with pytest.raises(ValueError, match='w must be "elastic" or "harmonic", got \'smooth\''):
+        ec.laws.with_slip(law, "smooth")
+    with pytest.raises(TypeError, match="w must be a function of a Surface or a name, got"):
+        ec.laws.with_slip(law, 3)
+    with pytest.raises(TypeError, match="law must be a law, got"):
+        ec.laws.with_slip(3, "elastic")
+    with pytest.raises(ValueError, match="this law slips already"):
+        ec.laws.with_slip(ec.laws.with_slip(law, "elastic"), turn)
+    with pytest.raises(ValueError, match="nodes whose positions are prescribed cannot slip"):
+        ec.laws.with_slip(ec.laws.Prescribed(motion=lambda p, t: p), turn)
+    short = ec.laws.with_slip(law, lambda at: at.x[:, 0])
+    with pytest.raises(ValueError, match=r"w\(at\) must have shape \(642, 3\), got \(642,\)"):
+        final(ec.evolve(COARSE, ec.Problem(law=short), 1, 0.1, 0.1))

@@ -1,0 +1,97 @@
+"""Volume-preserving laws: drift of order p, falling area, the sphere in the end."""
+
+import numpy as np
+import pytest
+from temporal import fine_run, temporal_orders
+
+import esfem_core as ec
+from esfem_core.study import final, observed_orders
+
+ELLIPSOID = ec.exact_surfaces.Ellipsoid((1.3, 1.0, 0.8))
+TRI = ec.sphere("icosahedron", 1)
+TRI.vertices = ELLIPSOID.closest(TRI.vertices * ELLIPSOID.axes)
+SPACE = ec.SurfaceSpace(TRI, 2, ELLIPSOID.closest)
+LAWS = {
+    "regularised": ec.laws.Regularised(0.1, 1.0),
+    "mean curvature": ec.laws.MeanCurvature(1.0, None, ELLIPSOID.normal, ELLIPSOID.mean_curvature),
+}
+BY_LAW = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+
+
+@BY_LAW
+def test_the_volume_drifts_with_order_p(law):
+    """Between the end of the starting values and t = 0.2, so that only the scheme counts."""
+    problem = ec.Problem(law=ec.laws.VolumePreserving(law))
+    for p in (1, 2, 3):
+        drifts, steps = [], [1 / 100, 1 / 200, 1 / 400]
+        for step in steps:
+            states = list(ec.evolve(SPACE, problem, p, step, 0.2))
+            volumes = [ec.measure(state).volume for state in (states[p - 1], states[-1])]
+            drifts.append(abs(volumes[1] - volumes[0]))
+        assert observed_orders(steps, drifts)[-1] > p - 0.3
+        assert drifts[-1] < [2e-2, 2e-4, 1e-5][p - 1]
+
+
+@BY_LAW
+def test_the_area_falls_to_that_of_a_sphere(law):
+    problem = ec.Problem(law=ec.laws.VolumePreserving(law))
+    measures, states = [], list(ec.evolve(SPACE, problem, 3, 1 / 100, 2.0))
+    measures = [ec.measure(state) for state in states]
+    areas = np.array([m.area for m in measures])
+    assert (np.diff(areas) < 1e-9).all()
+    r = (3 * measures[-1].volume / (4 * np.pi)) ** (1 / 3)
+    assert areas[-1] == pytest.approx(4 * np.pi * r**2, rel=2e-3)
+    x = states[-1].x - states[-1].x.mean(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(x, axis=1), r, rtol=1e-2)
+    assert measures[-1].volume == pytest.approx(measures[0].volume, rel=1e-3)
+
+
+@BY_LAW
+def test_no_volume_flows_through_the_extrapolated_surface(law):
+    """Int v . nu = 0 there, also with a force."""
+    forced = type(law)(**{**vars_of(law), "g": lambda at: at.points[..., 0] + 1})
+    states = list(ec.evolve(SPACE, ec.Problem(law=ec.laws.VolumePreserving(forced)), 2, 0.01, 0.05))
+    x = 2 * states[-2].x - states[-3].x
+    v, normal = SPACE.evaluate(states[-1].v), SPACE.normals(x)
+    flux = SPACE.integrate(x, (v * normal).sum(axis=-1))
+    assert abs(flux) < 1e-9 * SPACE.integrate(x, abs((v * normal).sum(axis=-1)))
+
+
+def vars_of(law):
+    names = ("alpha", "beta", "g", "normal", "curvature")
+    return {name: getattr(law, name) for name in names if name in law.__dataclass_fields__}
+
+
+def test_a_sphere_stays_where_it_is():
+    """Each law alone would shrink it."""
+    sphere = ec.exact_surfaces.Sphere()
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, sphere.closest)
+    for law in (ec.laws.Regularised(0.1, 1.0), ec.laws.MeanCurvature(1.0)):
+        problem = ec.Problem(law=ec.laws.VolumePreserving(law))
+        last = final(ec.evolve(space, problem, 2, 1 / 100, 0.3))
+        np.testing.assert_allclose(np.linalg.norm(last.x, axis=1), 1, atol=2e-3)
+
+
+@pytest.mark.slow
+@BY_LAW
+def test_orders_in_time(law):
+    species = {"u": ec.Species(lambda x: 1 + x[:, 0] * x[:, 1])}
+    forced = type(law)(**{**vars_of(law), "g": lambda at: 0.3 * at.u})
+    problem = ec.Problem(species=species, law=ec.laws.VolumePreserving(forced))
+    fine = fine_run(SPACE, problem, 1 / 1280, 0.4, settled=0.1)
+    for p in range(1, 6):
+        for name, order in temporal_orders(SPACE, problem, p, [1 / 160, 1 / 320], fine).items():
+            assert order == pytest.approx(p, abs=0.35), (p, name)
+
+
+def test_one_factorisation_serves_both_parts():
+    statistics = ec.Statistics()
+    problem = ec.Problem(law=ec.laws.VolumePreserving(LAWS["regularised"]))
+    final(ec.evolve(SPACE, problem, 1, 0.01, 0.1, solver="direct", statistics=statistics))
+    assert statistics.solves == {"law 1": 10}
+    assert statistics.factorisations == 10
+
+
+def test_refused():
+    with pytest.raises(TypeError, match="law must be a Regularised or a MeanCurvature, got"):
+        ec.laws.VolumePreserving(ec.laws.Dynamic())
