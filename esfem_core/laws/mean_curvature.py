@@ -1,18 +1,18 @@
 r"""Mean curvature flow with the normal and the curvature evolved.
 
 For a surface that moves with v = V nu, the normal nu and H = div nu, the sum of the principal
-curvatures, obey (G. Huisken 1984; ' is the material derivative, |A|^2 = |grad nu|^2)::
+curvatures, obey (G. Huisken 1984; ' is the material derivative, ``|A|^2 = |grad nu|^2``)::
 
     nu' = -grad V,        H' = -lap V - |A|^2 V.
 
-With V = g - beta H and grad H = lap nu + |A|^2 nu they become parabolic::
+With V = g - beta H and ``grad H = lap nu + |A|^2 nu`` they become parabolic::
 
     nu' = beta lap nu + beta |A|^2 nu - grad g
     H'  = beta lap H  + beta |A|^2 H  - lap g - |A|^2 g,
 
 which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
-Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. As there,
-v is the nodal product (g - beta H) nu of the evolved functions.
+Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. Here v is
+the nodal product (g - beta H) nu of the evolved functions.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,12 +49,12 @@ class MeanCurvature(Law):
         Speed along the normal: ``g(x, t)`` at points (N, 3), returning (N,); or ``g(at)`` on a
         :class:`esfem_core.Surface`, (T, Q), which may depend on species. Its gradient is that of
         a finite element function: of the nodal values of g(x, t), or of the nodal averages of
-        g(at) (:func:`esfem_core.elements.nodal_average`), to which a polynomial of degree k in
-        the species is equal up to order k + 1. None is zero.
+        g(at), see :func:`esfem_core.elements.recovery.nodal_average`. None is zero.
     normal, curvature : callable or array, optional
         Initial values: of points (N, 3) of the initial surface, or nodal ones; such as the methods
-        `normal` and `mean_curvature` of an :mod:`exact surface <esfem_core.exact_surfaces>`. None
-        takes them from the mesh, smoothed (:func:`esfem_core.elements.smoothed`).
+        `normal` and `mean_curvature` of an exact surface in
+        :mod:`esfem_core.surfaces.exact_surfaces`. None takes them from the mesh, smoothed by
+        :func:`esfem_core.elements.recovery.smoothed`.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class Species:
     initial : callable, array, float or None
         Initial values: of points (N, 3), returning (N,) or (N, m); or the nodal values; or a
         constant. None for a function of a law that makes its own from the mesh, see
-        :meth:`esfem_core.laws.Law.initial`.
+        :meth:`esfem_core.laws.law.Law.initial`.
     source : callable, optional
         ``source(at)`` on a :class:`esfem_core.Surface`: values of the shape of u there, (T, Q) or
         (T, Q, m); or a pair (values, flux), values possibly None, flux (T, Q, 3) or (T, Q, m, 3),

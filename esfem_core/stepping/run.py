@@ -91,9 +91,9 @@ def evolve(
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
         the default if it is given with all functions. "euler": linearly implicit Euler steps,
         extrapolated to order p, with updated mass matrices. Otherwise the states to start from, of
-        which the last p count, a step apart: the run goes on from the last one. From its own states it goes on
-        exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes states that
-        are another step apart.
+        which the last p count, a step apart: the run goes on from the last one. From its own states
+        it goes on exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes
+        states that are another step apart.
         Exact values at (p - 1) tau also restart the error of space there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
