@@ -111,8 +111,8 @@ def test_replaced_fields():
 
 def test_pickles_keep_every_bit_and_are_read_only():
     for state in (RUN[0], RUN[-1]):
-        arrays = {"fields": state.fields, "products": state.products, "method": state.method}
-        again = pickle.loads(pickle.dumps(ec.State(state.t, state.x, state.v, **arrays)))
+        kept = {"fields": state.fields, "products": state.products, "method": state.method}
+        again = pickle.loads(pickle.dumps(ec.State(state.t, state.x, state.v, **kept)))
         assert again.method == state.method
         assert again.t == state.t
         assert again.space is None
