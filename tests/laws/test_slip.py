@@ -75,7 +75,7 @@ MOVING = {
 }
 
 
-@pytest.mark.parametrize("slip", [None, turn, "elastic"], ids=str)
+@pytest.mark.parametrize("slip", [None, turn, "elastic"], ids=["none", "turn", "elastic"])
 @pytest.mark.parametrize("law", MOVING.values(), ids=MOVING)
 def test_amounts_are_kept_under_every_law(law, slip):
     law = law if slip is None else ec.laws.with_slip(law, slip)
