@@ -7,7 +7,7 @@ import numpy as np
 from esfem_core.checks import Array, Ints
 from esfem_core.elements.lagrange import node_indices
 
-__all__ = ["flat_triangles", "number_cells", "place_nodes"]
+__all__ = ["check_cells", "flat_triangles", "number_cells", "place_nodes"]
 
 
 def number_cells(faces: Ints, degree: int) -> Ints:
@@ -28,6 +28,42 @@ def number_cells(faces: Ints, degree: int) -> Ints:
             n_vertices + len(edges) * per_edge + inside,
         ]
     )
+
+
+def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
+    """Refuse elements whose nodes do not fit together: a continuous function could not live there.
+
+    Parameters
+    ----------
+    cells : (T, (k+1)(k+2)/2) int array
+        In VTK's Lagrange order.
+    faces : (T, 3) int array
+        Their corners, numbered from 0 without gaps.
+    degree : int
+    n_nodes : int
+
+    Raises
+    ------
+    ValueError
+        With the first element that fails.
+    """
+    wanted = number_cells(faces, degree)
+    if wanted.max() + 1 != n_nodes:
+        raise ValueError(
+            f"a closed surface of {len(cells)} such elements has {wanted.max() + 1} nodes, got "
+            f"{n_nodes}: neighbours must share the nodes on their edge, and no others"
+        )
+    given = np.zeros(n_nodes, dtype=np.int64)
+    given[wanted] = cells
+    wrong = (given[wanted] != cells).any(axis=1)
+    if wrong.any():
+        raise ValueError(
+            f"element {np.argmax(wrong)} does not have the nodes of its neighbours on their "
+            "common edge; the nodes of an element must be in VTK's Lagrange order: corners, "
+            "edges (0, 1), (1, 2), (2, 0), interior"
+        )
+    if len(np.unique(given)) < n_nodes:
+        raise ValueError("two nodes of the surface have one number: nodes must not be repeated")
 
 
 def place_nodes(

@@ -6,17 +6,26 @@ at x", and every method that depends on the geometry takes x as its first argume
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from math import isqrt
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, Ints, finite_array, real_array, shown, whole_number
+from esfem_core.checks import (
+    Array,
+    Ints,
+    finite_array,
+    integer_array,
+    real_array,
+    shown,
+    whole_number,
+)
 from esfem_core.elements.integrals import ElementTables, Metric, chunks
 from esfem_core.elements.lagrange import tabulate
-from esfem_core.elements.numbering import number_cells, place_nodes
-from esfem_core.elements.quadrature import triangle_rule
+from esfem_core.elements.numbering import check_cells, number_cells, place_nodes
+from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern
 from esfem_core.solvers import Fronts, dissect
 from esfem_core.surfaces import check_triangulation
@@ -80,15 +89,73 @@ class SurfaceSpace:
         project: Callable[[Array], Array] | None = None,
         exactness: int | None = None,
     ) -> None:
-        self.degree = whole_number("degree", degree, 1)
+        degree = whole_number("degree", degree, 1)
         check_triangulation(tri)
-        self.rule = triangle_rule(2 * self.degree if exactness is None else exactness)
-        basis = tabulate(self.degree, self.rule.points)
+        rule = triangle_rule(2 * degree if exactness is None else exactness)
         vertices = np.array(tri.vertices, dtype=float)
         faces = np.array(tri.faces, dtype=np.int64)
-        self.cells = number_cells(faces, self.degree)
-        self.nodes = place_nodes(vertices, faces, self.cells, self.degree, project)
-        self.tables = ElementTables(basis, self.rule)
+        cells = number_cells(faces, degree)
+        self._set_up(place_nodes(vertices, faces, cells, degree, project), cells, degree, rule)
+
+    @classmethod
+    def from_nodes(
+        cls, nodes: ArrayLike, cells: ArrayLike, exactness: int | None = None
+    ) -> "SurfaceSpace":
+        """The space of given nodes and elements.
+
+        Parameters
+        ----------
+        nodes : (N, 3) float array
+        cells : (T, (k+1)(k+2)/2) int array
+            Node numbers of each element in VTK's Lagrange order; the degree k is that of their
+            number.
+        exactness : int, optional
+            As for the class.
+
+        Returns
+        -------
+        SurfaceSpace
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an array has the wrong shape or type, the corners of the elements are no fit
+            triangulation, or neighbours do not share the nodes on their edge.
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 3, ec.to_unit_sphere)
+        >>> ec.SurfaceSpace.from_nodes(space.nodes, space.cells)
+        SurfaceSpace(degree=3, nodes=578, cells=128, quadrature points per cell=12)
+        """
+        nodes = np.array(finite_array("nodes", nodes, ("N", 3)))
+        cells = np.array(integer_array("cells", cells, ("T", "n")))
+        degree = (isqrt(8 * cells.shape[1] + 1) - 3) // 2
+        if degree < 1 or (degree + 1) * (degree + 2) // 2 != cells.shape[1]:
+            raise ValueError(
+                "cells must have 3, 6, 10, 15, 21, ... columns, the nodes of an element of degree "
+                f"1, 2, 3, 4, 5, ...; got {cells.shape[1]}"
+            )
+        if len(cells) and not 0 <= cells.min() <= cells.max() < len(nodes):
+            raise ValueError(
+                f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
+                f"{cells.max()}"
+            )
+        corners, faces = np.unique(cells[:, :3], return_inverse=True)
+        faces = faces.reshape(-1, 3)
+        check_triangulation(trimesh.Trimesh(nodes[corners], faces, process=False))
+        check_cells(cells, faces, degree, len(nodes))
+        space = cls.__new__(cls)
+        space._set_up(
+            nodes, cells, degree, triangle_rule(2 * degree if exactness is None else exactness)
+        )
+        return space
+
+    def _set_up(self, nodes: Array, cells: Ints, degree: int, rule: TriangleRule) -> None:
+        """What both constructors do in the end."""
+        self.nodes, self.cells, self.degree, self.rule = nodes, cells, degree, rule
+        self.tables = ElementTables(tabulate(degree, rule.points), rule)
         self._chunks = list(chunks(len(self.cells), len(self.tables.gradients) // 2))
         self._scatter = SparsePattern(self.cells, self.tables.pairs, len(self.nodes), self._chunks)
         self.pattern = self._scatter.pattern
