@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from esfem_core.checks import Array, finite_array, number, one_of, real_array, whole_number
-from esfem_core.surfaces.check import check_is_trimesh
+from esfem_core.surfaces.faults import check_is_trimesh
 
 __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
 
