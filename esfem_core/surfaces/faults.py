@@ -20,7 +20,9 @@ __all__ = [
     "repeated_corners",
 ]
 
-FLATTEST = 1e-10  # smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral
+# Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
+# package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
+FLATTEST = 1e-7
 
 
 def check_is_trimesh(name: str, value: object) -> None:
