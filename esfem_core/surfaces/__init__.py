@@ -8,6 +8,7 @@ from esfem_core.surfaces.check import check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
 from esfem_core.surfaces.faults import FLATTEST, Fault, fault
+from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
 from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to_outside
@@ -18,6 +19,7 @@ from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_un
 __all__ = [
     "FLATTEST",
     "Edges",
+    "Elements",
     "Fault",
     "MeshingError",
     "Quality",
@@ -26,6 +28,7 @@ __all__ = [
     "central_stencil",
     "check_triangulation",
     "collapse",
+    "curved_elements",
     "derivative",
     "descend",
     "displaced",
@@ -36,6 +39,7 @@ __all__ = [
     "from_level_set",
     "mesh_quality",
     "project_to_level_set",
+    "read_mesh",
     "repair",
     "sides_of",
     "sphere",
