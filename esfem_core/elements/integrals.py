@@ -19,6 +19,7 @@ import numpy as np
 from esfem_core.checks import Array, Bools
 from esfem_core.elements.lagrange import Basis
 from esfem_core.elements.quadrature import TriangleRule
+from esfem_core.surfaces import FLATTEST
 
 __all__ = [
     "DegenerateElementError",
@@ -30,7 +31,7 @@ __all__ = [
 ]
 
 CHUNK = 12288  # points at which the metric is computed at a time: their arrays stay in the cache
-FLATNESS = 1e-8  # smallest allowed 2 s/(E + G), which is 1 for a conformal element map
+LEAST = FLATTEST / np.sqrt(3)  # smallest allowed s/(E + G - F), as for flat triangles
 ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
 
@@ -134,8 +135,8 @@ class ElementTables:
             s2 = E * G - F * F
             smallest = (ROUNDING * np.abs(nodes[:, 0]).max()) ** 2
             # One comparison for all; where it fails, element by element.
-            if not s2.min() > (FLATNESS / 2 * (E.max() + G.max()) + smallest) ** 2:
-                sound = s2 > (FLATNESS / 2 * (E + G) + smallest) ** 2
+            if not s2.min() > (1.5 * LEAST * (E.max() + G.max()) + smallest) ** 2:
+                sound = s2 > (LEAST * (E + G - F) + smallest) ** 2
                 _report_first(~np.isfinite(s2), "is not finite", nodes, first)
                 _report_first(~sound, "is degenerate", nodes, first)
             s = np.sqrt(s2)

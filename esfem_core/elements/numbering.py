@@ -7,7 +7,7 @@ import numpy as np
 from esfem_core.checks import Array, Ints
 from esfem_core.elements.lagrange import node_indices
 
-__all__ = ["check_cells", "flat_triangles", "number_cells", "place_nodes"]
+__all__ = ["check_cells", "flat_triangles", "mirrored", "number_cells", "place_nodes"]
 
 
 def number_cells(faces: Ints, degree: int) -> Ints:
@@ -51,7 +51,8 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
     if wanted.max() + 1 != n_nodes:
         raise ValueError(
             f"a closed surface of {len(cells)} such elements has {wanted.max() + 1} nodes, got "
-            f"{n_nodes}: neighbours must share the nodes on their edge, and no others"
+            f"{n_nodes}: neighbours must share the nodes on their edge, and no others; "
+            "SurfaceSpace.read makes one of nodes at the same place"
         )
     given = np.zeros(n_nodes, dtype=np.int64)
     given[wanted] = cells
@@ -59,11 +60,25 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
     if wrong.any():
         raise ValueError(
             f"element {np.argmax(wrong)} does not have the nodes of its neighbours on their "
-            "common edge; the nodes of an element must be in VTK's Lagrange order: corners, "
-            "edges (0, 1), (1, 2), (2, 0), interior"
+            "common edge; the nodes of an element must be in the order of VTK, Gmsh and meshio: "
+            "corners 0, 1, 2, then the edges from 0 to 1, from 1 to 2, from 2 to 0, then the "
+            "interior; another order is put right by cells[:, permutation]"
         )
     if len(np.unique(given)) < n_nodes:
         raise ValueError("two nodes of the surface have one number: nodes must not be repeated")
+
+
+def mirrored(degree: int) -> Ints:
+    """Where the nodes of an element are found whose corners 1 and 2 change places.
+
+    Examples
+    --------
+    >>> mirrored(2).tolist()
+    [0, 2, 1, 5, 4, 3]
+    """
+    indices = node_indices(degree)
+    place = {tuple(row): i for i, row in enumerate(indices.tolist())}
+    return np.array([place[a, c, b] for a, b, c in indices.tolist()])
 
 
 def place_nodes(
@@ -72,22 +87,23 @@ def place_nodes(
     cells: Ints,
     degree: int,
     project: Callable[[Array], Array] | None,
+    first: int,
 ) -> Array:
-    """Put nodes at equal distances on the flat triangles, then project the new ones."""
+    """Put nodes at equal distances on the flat triangles, then project those from `first` on."""
     barycentric = node_indices(degree) / degree
     nodes = np.empty((int(cells.max()) + 1, 3))
     nodes[cells] = barycentric @ vertices[faces]
     nodes[: len(vertices)] = vertices
     if project is None:
         return nodes
-    new = nodes[len(vertices) :]
+    new = nodes[first:]
     moved = np.asarray(project(new.copy()), dtype=float)
     if moved.shape != new.shape:
         raise ValueError(f"project must return an array of shape {new.shape}, got {moved.shape}")
     if not np.isfinite(moved).all():
         i = int(np.argmin(np.isfinite(moved).all(axis=1)))
         raise ValueError(f"project returned {moved[i].tolist()} for the point {new[i].tolist()}")
-    nodes[len(vertices) :] = moved
+    nodes[first:] = moved
     return nodes
 
 

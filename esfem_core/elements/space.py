@@ -7,6 +7,7 @@ at x", and every method that depends on the geometry takes x as its first argume
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from math import isqrt
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -15,23 +16,34 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import (
     Array,
+    Bools,
     Ints,
     finite_array,
     integer_array,
+    one_of,
     real_array,
     shown,
     whole_number,
 )
 from esfem_core.elements.integrals import ElementTables, Metric, chunks
 from esfem_core.elements.lagrange import tabulate
-from esfem_core.elements.numbering import check_cells, number_cells, place_nodes
+from esfem_core.elements.numbering import check_cells, mirrored, number_cells, place_nodes
 from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern
 from esfem_core.solvers import Fronts, dissect
-from esfem_core.surfaces import check_triangulation
+from esfem_core.surfaces import (
+    check_triangulation,
+    curved_elements,
+    fault,
+    sides_of,
+    turned_to_agree,
+    turned_to_outside,
+)
 
-__all__ = ["SurfaceSpace"]
+__all__ = ["NodeOrder", "SurfaceSpace"]
+
+NodeOrder = Literal["vtk", "gmsh", "meshio"]  # on triangles these are one order
 
 
 class SurfaceSpace:
@@ -46,11 +58,14 @@ class SurfaceSpace:
     project : callable, optional
         (n, 3) -> (n, 3), moves the new nodes from the flat triangles to the surface, as in
         [N] 7.1, for example :func:`esfem_core.to_unit_sphere`. The triangulation's own vertices
-        stay where they are.
+        stay where they are, unless `project_vertices` is true.
     exactness : int, optional
         Degree up to which the quadrature is exact on the reference triangle. Default 2k: mass and
         stiffness matrices of flat elements are then exact, and integrals of smooth functions over
         curved ones have an error of order 2k + 1 or better, below that of the geometry.
+    project_vertices : bool
+        Whether `project` moves the vertices, too: for triangulations that are only near the
+        surface.
 
     Attributes
     ----------
@@ -89,6 +104,8 @@ class SurfaceSpace:
         degree: int = 1,
         project: Callable[[Array], Array] | None = None,
         exactness: int | None = None,
+        *,
+        project_vertices: bool = False,
     ) -> None:
         degree = whole_number("degree", degree, 1)
         check_triangulation(tri)
@@ -96,22 +113,41 @@ class SurfaceSpace:
         vertices = np.array(tri.vertices, dtype=float)
         faces = np.array(tri.faces, dtype=np.int64)
         cells = number_cells(faces, degree)
-        self._set_up(place_nodes(vertices, faces, cells, degree, project), cells, degree, rule)
+        if project_vertices and project is None:
+            raise ValueError("project_vertices needs a project, (n, 3) -> (n, 3)")
+        first = 0 if project_vertices else len(vertices)
+        nodes = place_nodes(vertices, faces, cells, degree, project, first)
+        if project_vertices and (found := fault(nodes[: len(vertices)], faces)):
+            raise ValueError(
+                f"project makes the triangulation unfit: {found.text}; tri must be so near the "
+                "surface that no triangle folds over: project_vertices=False leaves its vertices"
+            )
+        self._set_up(nodes, cells, degree, rule)
 
     @classmethod
     def from_nodes(
-        cls, nodes: ArrayLike, cells: ArrayLike, exactness: int | None = None
+        cls,
+        nodes: ArrayLike,
+        cells: ArrayLike,
+        exactness: int | None = None,
+        *,
+        order: NodeOrder = "vtk",
     ) -> "SurfaceSpace":
-        """The space of given nodes and elements.
+        """The space of given nodes and elements, curved or flat.
 
         Parameters
         ----------
         nodes : (N, 3) float array
         cells : (T, (k+1)(k+2)/2) int array
-            Node numbers of each element in VTK's Lagrange order; the degree k is that of their
-            number.
+            Node numbers of each element; the degree k is that of their number. Elements that are
+            oriented against their neighbours, or inwards, are turned: ``space.cells`` has all
+            outwards, and cavities inwards.
         exactness : int, optional
             As for the class.
+        order : {"vtk", "gmsh", "meshio"}
+            Order of the nodes of an element. On triangles these three have the same: corners 0,
+            1, 2, nodes on the edges from 0 to 1, from 1 to 2 and from 2 to 0, then the interior,
+            which is the same pattern for k - 3.
 
         Returns
         -------
@@ -120,8 +156,9 @@ class SurfaceSpace:
         Raises
         ------
         TypeError, ValueError
-            If an array has the wrong shape or type, the corners of the elements are no fit
-            triangulation, or neighbours do not share the nodes on their edge.
+            If an array has the wrong shape or type, a node belongs to no element, the corners of
+            the elements are no fit triangulation, or neighbours do not share the nodes on their
+            edge.
 
         Examples
         --------
@@ -130,6 +167,7 @@ class SurfaceSpace:
         >>> ec.SurfaceSpace.from_nodes(space.nodes, space.cells)
         SurfaceSpace(degree=3, nodes=578, cells=128, quadrature points per cell=12)
         """
+        one_of("order", order, NodeOrder)
         nodes = np.array(finite_array("nodes", nodes, ("N", 3)))
         cells = np.array(integer_array("cells", cells, ("T", "n")))
         degree = (isqrt(8 * cells.shape[1] + 1) - 3) // 2
@@ -143,14 +181,80 @@ class SurfaceSpace:
                 f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
                 f"{cells.max()}"
             )
+        unused = np.bincount(cells.ravel(), minlength=len(nodes)) == 0
+        if unused.any():
+            raise ValueError(
+                f"node {np.argmax(unused)} belongs to no element ({unused.sum()} such nodes); "
+                "used, numbers = np.unique(cells, return_inverse=True) gives nodes[used] and "
+                "cells = numbers.reshape(cells.shape)"
+            )
         corners, faces = np.unique(cells[:, :3], return_inverse=True)
         faces = faces.reshape(-1, 3)
-        check_triangulation(trimesh.Trimesh(nodes[corners], faces, process=False))
+        turned = _turned(nodes[corners], faces)
+        cells[turned] = cells[turned][:, mirrored(degree)]
+        faces[turned] = faces[turned][:, [0, 2, 1]]
+        found = fault(nodes[corners], faces)
+        if found is not None:
+            raise ValueError(
+                f"the corners of the elements are no fit triangulation: {found.text}; neighbours "
+                "must share their nodes, and SurfaceSpace.read makes one of nodes at the same place"
+                if found.text.startswith("the surface is not closed")
+                else f"the corners of the elements are no fit triangulation: {found.text}; "
+                f"{found.advice}"
+            )
         check_cells(cells, faces, degree, len(nodes))
         space = cls.__new__(cls)
         space._set_up(
             nodes, cells, degree, triangle_rule(2 * degree if exactness is None else exactness)
         )
+        return space
+
+    @classmethod
+    def read(
+        cls,
+        source: Any,
+        exactness: int | None = None,
+        *,
+        report: Callable[[str], object] | None = print,
+    ) -> "SurfaceSpace":
+        """The space of the triangular elements of a file, of any degree, curved as they are.
+
+        Parameters
+        ----------
+        source : path, meshio.Mesh or PyVista data set
+            Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install esfem-core[files]``);
+            elements of one degree, their nodes in the order that meshio gives them. Nodes outside
+            of all elements are left out, and where neighbours do not share nodes, those at equal
+            places become one.
+        exactness : int, optional
+            As for the class.
+        report : callable, optional
+            Is told what was found and done, in lines of text.
+
+        Returns
+        -------
+        SurfaceSpace
+
+        Raises
+        ------
+        FileNotFoundError, ImportError
+            If there is no such file, or no meshio to read it.
+        TypeError, ValueError
+            If it cannot be read, holds other cells than triangles of one degree, or is not fit;
+            see :meth:`from_nodes`.
+        """
+        found = curved_elements(source)
+        [(_, cells)] = found.cells
+        space = cls.from_nodes(found.points, cells, exactness, order="meshio")
+        if report:
+            report(
+                f"{found.name}: degree {space.degree}, {len(space.nodes)} nodes, {len(cells)} cells"
+            )
+            turned = int((space.cells != cells).any(axis=1).sum())
+            if turned:
+                found.notes.append(f"turned {turned} elements to agree and point outwards")
+            for note in found.notes:
+                report(note)
         return space
 
     def _set_up(self, nodes: Array, cells: Ints, degree: int, rule: TriangleRule) -> None:
@@ -490,3 +594,11 @@ class SurfaceSpace:
         """Turn (m, Q, T) into (T, Q, ...)."""
         _, n_points, n_cells = values.shape
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)
+
+
+def _turned(vertices: Array, faces: Ints) -> Bools:
+    """Which elements to turn; none if no turning helps."""
+    none = np.zeros(len(faces), dtype=bool)
+    if len(faces) == 0 or (sides_of(faces).times != 2).any():
+        return none
+    return turned_to_outside(vertices, faces) if turned_to_agree(faces)[1].all() else none

@@ -383,6 +383,8 @@ def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpa
         if found.dtype.kind != kind or list(found.shape) != shape:
             raise ValueError(f"{name} has type {found.dtype} and shape {found.shape}, not {shape}")
     space = SurfaceSpace.from_nodes(arrays["nodes"], arrays["cells"], header["exactness"])
+    if not np.array_equal(space.cells, arrays["cells"]):
+        raise ValueError("elements are oriented inwards, or against each other")
     states = []
     for i, one in enumerate(header["states"]):
         fields, products = (

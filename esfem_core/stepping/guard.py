@@ -9,10 +9,10 @@ from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Ints
 from esfem_core.elements import DegenerateElementError, SurfaceSpace
+from esfem_core.surfaces import FLATTEST
 
 __all__ = ["EvolutionWarning", "Guard"]
 
-DEGENERATE = 1e-8  # smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral
 NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
 SHAPE = 2 * np.sqrt(3)  # makes the shape of an equilateral triangle 1
 GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
@@ -86,7 +86,7 @@ class Guard:
         """Refuse a degenerate triangle, warn of a narrow one."""
         lowest = int(np.argmin(shape))
         place = f"element {lowest} near {self._place(x, lowest)}"
-        if not shape[lowest] > DEGENERATE:
+        if not shape[lowest] > FLATTEST:
             what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
             raise DegenerateElementError(f"{place} {what}", lowest)
         self._warn_once(

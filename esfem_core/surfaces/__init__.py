@@ -7,13 +7,20 @@ from esfem_core.surfaces import exact_surfaces
 from esfem_core.surfaces.check import check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
+from esfem_core.surfaces.faults import FLATTEST, Fault, fault
+from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
+from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to_outside
 from esfem_core.surfaces.quality import Quality, mesh_quality
+from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 
 __all__ = [
+    "FLATTEST",
     "Edges",
+    "Elements",
+    "Fault",
     "MeshingError",
     "Quality",
     "bisected_sphere",
@@ -21,17 +28,24 @@ __all__ = [
     "central_stencil",
     "check_triangulation",
     "collapse",
+    "curved_elements",
     "derivative",
     "descend",
     "displaced",
     "edges_of",
     "exact_surfaces",
+    "fault",
     "flip",
     "from_level_set",
     "mesh_quality",
     "project_to_level_set",
+    "read_mesh",
+    "repair",
+    "sides_of",
     "sphere",
     "split",
     "to_unit_sphere",
     "torus",
+    "turned_to_agree",
+    "turned_to_outside",
 ]

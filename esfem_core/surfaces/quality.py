@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from esfem_core.surfaces.check import check_is_trimesh
+from esfem_core.surfaces.faults import check_is_trimesh
 from esfem_core.tables import html_table
 
 __all__ = ["Quality", "mesh_quality"]

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from esfem_core.checks import Array, finite_array, number, one_of, real_array, whole_number
-from esfem_core.surfaces.check import check_is_trimesh
+from esfem_core.surfaces.faults import check_is_trimesh
 
 __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
 
@@ -126,7 +126,9 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     if r >= R:
         raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
     n, m = whole_number("n", n, 3), whole_number("m", m, 3)
-    return trimesh.creation.torus(R, r, major_sections=n, minor_sections=m)
+    # Made at unit size: trimesh takes vertices for one that are nearer than 1e-8.
+    unit = trimesh.creation.torus(1.0, r / R, major_sections=n, minor_sections=m)
+    return trimesh.Trimesh(R * unit.vertices, unit.faces, process=False)
 
 
 def displaced(

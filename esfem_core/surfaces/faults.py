@@ -1,0 +1,316 @@
+"""What is wrong with a mesh: the first thing that the theory forbids, and where it is."""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from esfem_core.checks import Array, Bools, Ints, shown
+from esfem_core.surfaces.orientation import Sides, shells, sides_of, turned_to_agree
+
+__all__ = [
+    "FLATTEST",
+    "Fault",
+    "check_is_trimesh",
+    "fans",
+    "fault",
+    "flat_triangles",
+    "repeated_corners",
+]
+
+# Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
+# package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
+FLATTEST = 1e-7
+
+
+def check_is_trimesh(name: str, value: object) -> None:
+    """Refuse what is not a :class:`trimesh.Trimesh`.
+
+    Examples
+    --------
+    >>> check_is_trimesh("tri", trimesh.Scene())
+    Traceback (most recent call last):
+        ...
+    TypeError: tri must be a trimesh.Trimesh, got a Scene; tri = ec.read_mesh(tri) converts it
+    """
+    if isinstance(value, trimesh.Trimesh):
+        return
+    if hasattr(value, "geometry") or hasattr(value, "points"):  # scenes; meshio, PyVista
+        raise TypeError(
+            f"{name} must be a trimesh.Trimesh, got a {type(value).__name__}; "
+            f"{name} = ec.read_mesh({name}) converts it"
+        )
+    raise TypeError(f"{name} must be a trimesh.Trimesh, got {shown(value)}")
+
+
+class Fault(NamedTuple):
+    """Something that the theory forbids.
+
+    Attributes
+    ----------
+    text : str
+        What and where.
+    advice : str
+        What a person can do about it if a repair cannot.
+    repairable : bool
+        False if a repair would not even be the right thing.
+    """
+
+    text: str
+    advice: str
+    repairable: bool = True
+
+
+def fault(vertices: Array, faces: Ints) -> Fault | None:
+    """Find the first fault of a mesh, or None.
+
+    Looked for in this order: triangles; finite vertices, each in some triangle; triangles with
+    three different corners and an area; every edge in two triangles; neighbours oriented alike;
+    triangles around a vertex forming one fan, so that V - E + F = 2 (components - handles); each
+    component enclosing a volume, oriented outwards, or inwards if it is a cavity.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float array
+    faces : (T, 3) int array
+
+    Returns
+    -------
+    Fault or None
+
+    Examples
+    --------
+    >>> fault(np.eye(3), np.array([[0, 1, 2]])).text
+    'the surface is not closed: edge (0, 1) of triangle 0 belongs to 1 triangle (3 such edges)'
+    """
+    if len(faces) == 0:
+        return Fault(
+            "the triangulation has no triangles",
+            "look at what it was made from; trimesh.Trimesh drops triangles smaller than 1e-8 "
+            "unless it is given process=False",
+        )
+    sides = sides_of(faces)
+    return (
+        _of_vertices(vertices, faces)
+        or _of_triangles(vertices, faces)
+        or _of_edges(vertices, faces, sides)
+        or _of_neighbours(faces, sides)
+        or _of_fans(len(vertices), faces)
+        or _of_shells(vertices, faces)
+    )
+
+
+def repeated_corners(faces: Ints) -> Bools:
+    """Which triangles have a corner twice, (T,)."""
+    a, b, c = faces.T
+    return np.asarray((a == b) | (b == c) | (c == a))
+
+
+def flat_triangles(vertices: Array, faces: Ints) -> Bools:
+    """Which triangles have no area to speak of, (T,): the limit for elements of a run, too."""
+    area, squares = _areas(vertices, faces)
+    return np.asarray(~(4 * np.sqrt(3) * area > FLATTEST * squares))
+
+
+def fans(faces: Ints, pairs: Ints) -> Ints:
+    """To which fan each corner of the triangles belongs, (3T,).
+
+    Corners of neighbouring triangles at the same end of their common edge are linked; the
+    connected corners around a vertex are a fan.
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+    pairs : (E, 2) int array
+        Sides, as :class:`~esfem_core.surfaces.orientation.Sides` numbers them, of two neighbours.
+    """
+    n = faces.size
+    next_corner = np.roll(np.arange(n).reshape(-1, 3), -1, axis=1).ravel()
+    one, other = pairs.T
+    against = faces.ravel()[one] == faces.ravel()[other]
+    links = (
+        np.concatenate([one, next_corner[one]]),
+        np.concatenate(
+            [
+                np.where(against, other, next_corner[other]),
+                np.where(against, next_corner[other], other),
+            ]
+        ),
+    )
+    graph = coo_array((np.ones(2 * len(pairs)), links), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _areas(vertices: Array, faces: Ints) -> tuple[Array, Array]:
+    p, q, r = vertices[faces.T]
+    squares = ((q - p) ** 2 + (r - q) ** 2 + (p - r) ** 2).sum(axis=1)
+    return np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2, squares
+
+
+def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        i = int(np.argmax(bad))
+        return Fault(f"vertex {i} is not finite: {vertices[i].tolist()}", "remove its triangles")
+    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if wrong.any():
+        t = int(np.argmax(wrong))
+        return Fault(
+            f"triangle {t} has corners {faces[t].tolist()}, but there are {len(vertices)} vertices",
+            "remove it",
+        )
+    unused = np.bincount(faces.ravel(), minlength=len(vertices)) == 0
+    if unused.any():
+        return Fault(
+            f"vertex {np.argmax(unused)} belongs to no triangle ({unused.sum()} such vertices)",
+            "call tri.remove_unreferenced_vertices()",
+        )
+    return None
+
+
+def _of_elements(vertices: Array, faces: Ints) -> Fault | None:
+    """Curved elements that trimesh has cut into triangles around their first corner.
+
+    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end.
+    """
+    for degree, nodes in ((2, 6), (3, 10), (4, 15)):
+        if len(faces) % (nodes - 2):
+            continue
+        cut = faces.reshape(-1, nodes - 2, 3)
+        if (cut[..., 0] != cut[:, :1, 0]).any() or (cut[:, 1:, 1] != cut[:, :-1, 2]).any():
+            continue
+        first, second, node = (vertices[cut[:, t, c]] for t, c in ((0, 0), (0, 1), (1, 2)))
+        edge = second - first
+        off = np.linalg.norm(node - first - edge / degree, axis=1)
+        if (off < np.linalg.norm(edge, axis=1) / (degree + 1)).all():
+            return Fault(
+                f"the triangles are fans of {nodes - 2}, as trimesh cuts rows of {nodes} numbers",
+                f"elements with {nodes} nodes become a space by "
+                "ec.SurfaceSpace.from_nodes(nodes, cells)",
+                repairable=False,
+            )
+    return None
+
+
+def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
+    repeated = repeated_corners(faces)
+    if repeated.any():
+        t = int(np.argmax(repeated))
+        return Fault(
+            f"triangle {t} is degenerate: its corners {faces[t].tolist()} repeat", "remove it"
+        )
+    flat = flat_triangles(vertices, faces)
+    if not flat.any():
+        return None
+    t = int(np.argmax(flat))
+    area, squares = _areas(vertices, faces[t : t + 1])
+    longest = np.sqrt(squares[0] / 2)
+    text = (
+        f"triangle {t} with corners {faces[t].tolist()} is degenerate: area {area[0]:.3g} "
+        f"at a longest edge of about {longest:.3g}"
+    )
+    away = np.abs(vertices[faces[t]]).max()
+    if 0 < longest < 1e-8 * away:
+        return Fault(
+            f"{text}; at a distance of {away:.3g} from the origin, numbers are rounded to "
+            f"{np.spacing(away):.1g}",
+            "subtract the middle of the surface before it is rounded",
+            repairable=False,
+        )
+    return Fault(
+        text, "make better triangles with a program for meshes, such as MeshLab or Blender"
+    )
+
+
+def _of_edges(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
+    if (sides.times != 2).any() and (elements := _of_elements(vertices, faces)):
+        return elements
+    for bad in (sides.times == 1, sides.times > 2):
+        if not bad.any():
+            continue
+        e = int(np.argmax(bad))
+        edge = f"edge ({sides.start[e]}, {sides.end[e]}) of triangle {e // 3}"
+        if sides.times[e] == 1:
+            return Fault(
+                f"the surface is not closed: {edge} belongs to 1 triangle ({bad.sum()} such edges)",
+                "the theory is for closed surfaces: close it with a program for meshes, such as "
+                "MeshLab or Blender",
+            )
+        return Fault(
+            f"the surface is not a manifold: {edge} belongs to {sides.times[e]} triangles",
+            "keep those triangles that bound the body, without walls inside it and fins: "
+            "tri.update_faces(keep) with a bool for each triangle",
+        )
+    return None
+
+
+def _of_neighbours(faces: Ints, sides: Sides) -> Fault | None:
+    one, other = sides.pairs().T
+    against = sides.start[one] == sides.start[other]
+    if not against.any():
+        return None
+    orientable = turned_to_agree(faces)[1]
+    if not orientable.all():
+        t = int(np.argmin(orientable))
+        return Fault(
+            f"the surface is not orientable: a way around it, as on a Klein bottle, comes back to "
+            f"triangle {t} from behind",
+            "it has no inside and no normal, which the equations need: take an orientable surface",
+        )
+    e = int(one[against].min())
+    return Fault(
+        f"neighbours are oriented against each other: triangle {e // 3} and its neighbour "
+        f"both run through edge ({sides.start[e]}, {sides.end[e]}) in this direction",
+        "turn one of them",
+    )
+
+
+def _of_fans(n_vertices: int, faces: Ints) -> Fault | None:
+    fan = fans(faces, sides_of(faces).pairs())
+    first = np.unique(fan, return_index=True)[1]  # corner of each fan
+    if len(first) == n_vertices:
+        return None
+    fans_at = np.bincount(faces.ravel()[first], minlength=n_vertices)
+    i = int(np.argmax(fans_at > 1))
+    euler = n_vertices - faces.size // 2 + len(faces)
+    return Fault(
+        f"vertex {i} joins {fans_at[i]} separate fans of triangles: the surface touches itself "
+        f"there (Euler number {euler})",
+        "give each fan its own vertex",
+    )
+
+
+def _of_shells(vertices: Array, faces: Ints) -> Fault | None:
+    found = shells(vertices, faces)
+    count = len(found.volume)
+    if found.flat.any():
+        c = int(np.argmax(found.flat))
+        what = f"component {c} of {count}" if count > 1 else "the surface"
+        t = int(np.argmax(found.label == c))
+        return Fault(
+            f"{what}, with triangle {t}, encloses no volume",
+            "a sheet of triangles is no surface of a body: give it a thickness",
+        )
+    wrong = found.wrong()
+    if not wrong.any():
+        return None
+    c = int(np.argmax(wrong))
+    t, volume, depth = int(np.argmax(found.label == c)), found.volume[c], found.depth[c]
+    if count == 1:
+        return Fault(
+            f"the triangles are oriented inwards (enclosed volume {volume:.3g})",
+            "call tri.invert()",
+        )
+    if depth % 2:
+        return Fault(
+            f"component {c} of {count}, with triangle {t}, lies inside {depth} "
+            f"other{'s' if depth > 1 else ''}: it is a cavity, but oriented outwards",
+            "turn it; a surface of its own, inside another, needs a triangulation of its own",
+        )
+    return Fault(
+        f"component {c} of {count}, with triangle {t}, is oriented inwards (enclosed volume "
+        f"{volume:.3g}), but is no cavity of another",
+        "turn it",
+    )

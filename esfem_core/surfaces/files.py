@@ -1,0 +1,390 @@
+"""Meshes from files and from other libraries: what trimesh, meshio and PyVista know.
+
+Files come as triangles, polygons, parts of a scene, curved elements or the inside of a body.
+:func:`read_mesh` makes flat triangles of all of them, :func:`curved_elements` keeps the nodes of
+curved ones for :meth:`esfem_core.SurfaceSpace.read`.
+"""
+
+import contextlib
+import io
+import os
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+
+from esfem_core.checks import Array, Ints, shown
+from esfem_core.surfaces.faults import fault
+from esfem_core.surfaces.orientation import components, sides_of
+from esfem_core.surfaces.repair import counted, merged, remedy, without_unused
+
+__all__ = ["Elements", "curved_elements", "read_mesh"]
+
+BY_TRIMESH = (
+    *("stl", "stl_ascii", "ply", "obj", "off", "glb", "gltf", "3mf", "dae", "zae", "xaml"),
+    *("3dxml", "ctm", "step", "stp", "zip"),
+)
+VTK_CELLS = {5: "triangle", 7: "polygon", 9: "quad", 10: "tetra", 12: "hexahedron", 22: "triangle"}
+VTK_CELLS |= {69: "triangle"}
+SIDES_OF = {  # of cells of a body, outwards
+    "tetra": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+    "hexahedron": [
+        *([0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]),
+    ],
+}
+
+
+class Elements(NamedTuple):
+    """Points and cells as they come.
+
+    Attributes
+    ----------
+    name : str
+        What a report calls them.
+    points : (n, 3) float array
+    cells : list of (str, (m, k) int array)
+        Kinds without the number of their nodes: "triangle", "quad", "polygon", "tetra", ...
+    unit : str or None
+        Unit of length, if it is known.
+    notes : list of str
+        What was done and left out.
+    """
+
+    name: str
+    points: Array
+    cells: list[tuple[str, Ints]]
+    unit: str | None
+    notes: list[str]
+
+
+def read_mesh(
+    source: Any, unit: str | None = None, report: Callable[[str], object] | None = print
+) -> trimesh.Trimesh:
+    """Read flat triangles from a file, or take them from a mesh of another library.
+
+    Polygons are cut into triangles, the parts of a scene are put in their places and joined,
+    bodies of tetrahedra and hexahedra are replaced by their boundary, and of curved elements the
+    corners are taken (:meth:`esfem_core.SurfaceSpace.read` keeps them curved). If triangles do not
+    share vertices, as in STL files and along seams of textures, vertices at equal places become
+    one. Points without triangles are left out. All else is as it is in the file: see
+    :func:`esfem_core.repair`.
+
+    Parameters
+    ----------
+    source : path, trimesh.Trimesh, trimesh.Scene, meshio.Mesh or PyVista data set
+        Files: STL, PLY, OBJ, OFF, GLB and glTF in a plain installation; Gmsh, VTK, VTU, Abaqus,
+        Nastran, Medit, XDMF and what else meshio reads with ``pip install esfem-core[files]``.
+    unit : str, optional
+        Unit of length of the result, such as "meters" or "millimeters"; that of the file if None.
+    report : callable, optional
+        Is told, in lines of text, what was found and done, and whether the mesh is fit for a
+        :class:`esfem_core.SurfaceSpace`, or else what helps.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        ``tri.units`` is its unit, or None.
+
+    Raises
+    ------
+    FileNotFoundError, ImportError
+        If there is no such file, or a package that reads it is missing.
+    TypeError, ValueError
+        If the source is none of these, cannot be read, or holds no triangles; if `unit` is given,
+        but unknown or the source has none.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> scene = trimesh.Scene([ec.sphere(), ec.sphere().apply_translation([3, 0, 0])])
+    >>> tri = read_mesh(scene)
+    Scene: 516 vertices, 1024 triangles, 2 components, 5 x 2 x 2
+    parts of the scene joined: 2
+    fit for ec.SurfaceSpace
+    """
+    found = _elements(source)
+    vertices, faces = found.points, _triangles(found)
+    if len(faces) == 0:
+        kinds = ", ".join(sorted({kind for kind, _ in found.cells})) or "points only"
+        raise ValueError(
+            f"{found.name} holds no triangles ({kinds}): write the surface with the program that "
+            "made it"
+        )
+    steps = found.notes
+    if len(curved := {cells.shape[1] for kind, cells in found.cells if kind == "triangle"} - {3}):
+        steps.append(
+            f"corners of elements with {' and '.join(map(str, sorted(curved)))} nodes taken; "
+            "ec.SurfaceSpace.read keeps the other nodes"
+        )
+    fit = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+    if not fit.all():
+        steps.append(f"dropped {counted((~fit).sum(), 'triangle')} with missing corners")
+    vertices, faces = without_unused(vertices, faces[fit], [] if curved else steps)
+    vertices, faces = _joined(vertices, faces, steps)
+    scale, unit = _scale(found, unit)
+    made = trimesh.Trimesh(scale * vertices, faces, process=False)
+    made.units = unit
+    if report:
+        finite = vertices[np.isfinite(vertices).all(axis=1)]
+        size = (
+            " x ".join(f"{scale * n:.3g}" for n in np.ptp(finite, axis=0)) if len(finite) else "?"
+        )
+        parts = counted(int(components(faces).max(initial=-1)) + 1, "component")
+        report(
+            f"{found.name}: {counted(len(vertices), 'vertex', 'vertices')}, "
+            f"{counted(len(faces), 'triangle')}, {parts}, {size}{f' {unit}' if unit else ''}"
+        )
+        for step in steps:
+            report(step)
+        wrong = fault(vertices, faces)
+        report(
+            "fit for ec.SurfaceSpace"
+            if wrong is None
+            else f"not fit as it is: {wrong.text}; {remedy(vertices, faces, wrong)}"
+        )
+    return made
+
+
+def curved_elements(source: Any) -> Elements:
+    """Nodes and Lagrange triangles of one degree, for :meth:`esfem_core.SurfaceSpace.read`.
+
+    Nodes that belong to no element are left out; if elements do not share nodes, those at equal
+    places become one.
+
+    Parameters
+    ----------
+    source : as for :func:`read_mesh`
+
+    Returns
+    -------
+    Elements
+        With one entry in ``cells``.
+
+    Raises
+    ------
+    FileNotFoundError, ImportError, TypeError, ValueError
+        As for :func:`read_mesh`; if there are no triangles, or of several degrees, or other cells
+        beside them.
+    """
+    found = _elements(source)
+    blocks = [cells for kind, cells in found.cells if kind == "triangle" and len(cells)]
+    others = sorted({kind for kind, cells in found.cells if kind in ("quad", "polygon")})
+    if not blocks or others:
+        kinds = ", ".join(others or sorted({kind for kind, _ in found.cells})) or "points"
+        raise ValueError(
+            f"{found.name} holds {kinds}; curved elements must be triangles: have its surface "
+            "meshed with triangles, or take flat ones by ec.read_mesh"
+        )
+    numbers = sorted({cells.shape[1] for cells in blocks})
+    if len(numbers) > 1:
+        raise ValueError(
+            f"{found.name} holds elements with {' and '.join(map(str, numbers))} nodes: a space "
+            "has one degree; write the mesh with elements of one order"
+        )
+    nodes, cells = without_unused(found.points, np.vstack(blocks), found.notes)
+    if (sides_of(cells[:, :3]).times == 1).any():
+        place = merged(nodes, 0)[cells]
+        if len(np.unique(place)) < len(nodes):
+            found.notes.append(
+                f"merged {len(nodes)} nodes into {len(np.unique(place))} at the same places"
+            )
+            nodes, cells = without_unused(nodes, place, [])
+    return found._replace(points=nodes, cells=[("triangle", cells)])
+
+
+def _elements(source: Any) -> Elements:
+    if isinstance(source, str | os.PathLike):
+        return _of_file(Path(os.fspath(source)))
+    name = type(source).__name__
+    if isinstance(source, trimesh.Trimesh):
+        return _of_scene(name, trimesh.Scene([source]))
+    if isinstance(source, trimesh.Scene):
+        return _of_scene(name, source)
+    if hasattr(source, "points") and hasattr(source, "cells_dict") and hasattr(source, "cell_data"):
+        if hasattr(source, "celltypes"):
+            return _of_pyvista(name, source)
+        return _of_meshio(name, source)
+    if hasattr(source, "points") and hasattr(source, "faces") and hasattr(source, "triangulate"):
+        triangles = np.asarray(source.triangulate().faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
+        return Elements(name, _three(source.points), [("triangle", triangles)], None, [])
+    if hasattr(source, "extract_surface"):  # grids of PyVista
+        return _elements(source.extract_surface())._replace(name=name)
+    raise TypeError(
+        "source must be the path of a file, or a mesh of trimesh, meshio or PyVista, got "
+        f"{shown(source)}"
+    )
+
+
+def _of_file(path: Path) -> Elements:
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {str(path)!r}")
+    kind = path.suffix.lower().lstrip(".")
+    said = io.StringIO()
+    try:
+        if kind in BY_TRIMESH:
+            found = _of_scene(path.name, trimesh.load(path, force="scene", process=False))
+        else:
+            meshio = _meshio(path)
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                found = _of_meshio(path.name, meshio.read(path))
+    except ImportError as error:
+        if error.name == "meshio":
+            raise
+        missing = re.search(r"No module named '(\w+)'|pip install (\w+)", str(error))
+        package = next(filter(None, missing.groups()), "") if missing else ""
+        raise ImportError(
+            f"files .{kind} need another package: pip install {package or error}", name=package
+        ) from error
+    except (Exception, SystemExit) as error:  # meshio leaves Python where it cannot read
+        reason = " ".join(said.getvalue().split()) or f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"{path.name} cannot be read as .{kind} ({reason}); if PyVista can read it, "
+            f"pyvista.read({path.name!r}) is taken instead of the path, or else write it as PLY, "
+            "STL or OBJ with the program that made it"
+        ) from error
+    if found.unit is None and kind in ("glb", "gltf"):
+        found = found._replace(unit="meters")  # by the standard
+    return found
+
+
+def _meshio(path: Path) -> Any:
+    try:
+        import meshio
+    except ImportError as error:
+        raise ImportError(
+            f"files {path.suffix} are read by meshio: pip install esfem-core[files]", name="meshio"
+        ) from error
+    return meshio
+
+
+def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
+    """All instances of all meshes of a scene, in their places."""
+    points, cells, notes = [np.zeros((0, 3))], [], []
+    nodes = list(scene.graph.nodes_geometry)
+    others: dict[str, int] = {}
+    for node in nodes:
+        transform, key = scene.graph[node]
+        part = scene.geometry[key]
+        if not isinstance(part, trimesh.Trimesh):
+            others[type(part).__name__] = others.get(type(part).__name__, 0) + 1
+            continue
+        faces = np.asarray(part.faces, dtype=np.int64)
+        if np.linalg.det(transform[:3, :3]) < 0:
+            faces = faces[:, ::-1]
+        cells.append(("triangle", faces + sum(map(len, points))))
+        vertices = np.asarray(part.vertices, dtype=float)
+        if not np.array_equal(transform, np.eye(4)):
+            vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
+        points.append(vertices)
+    if len(cells) > 1:
+        notes.append(f"parts of the scene joined: {len(cells)}")
+    if others:
+        left = ", ".join(f"{count} {kind}" for kind, count in others.items())
+        notes.append(f"left out: {left}")
+    units = {part.units for part in scene.geometry.values() if part.units}
+    return Elements(name, np.vstack(points), cells, units.pop() if len(units) == 1 else None, notes)
+
+
+def _of_meshio(name: str, mesh: Any) -> Elements:
+    blocks = [(_kind(block.type), np.asarray(block.data)) for block in mesh.cells]
+    cells = [(k, d.astype(np.int64)) for k, d in blocks if d.ndim == 2 and d.dtype.kind in "iu"]
+    return Elements(name, _three(mesh.points), cells, None, [])
+
+
+def _of_pyvista(name: str, grid: Any) -> Elements:
+    types = np.asarray(grid.celltypes)
+    ends = np.asarray(grid.cell_offsets if hasattr(grid, "cell_offsets") else grid.offset)
+    numbers, sizes = np.asarray(grid.cell_connectivity, dtype=np.int64), np.diff(ends)
+    cells = []
+    for code, size in np.unique(np.stack([types, sizes]), axis=1).T.tolist():
+        begin = ends[:-1][(types == code) & (sizes == size)]
+        kind = VTK_CELLS.get(code, f"VTK cell type {code}")
+        cells.append((kind, numbers[begin[:, None] + np.arange(size)]))
+    return Elements(name, _three(grid.points), cells, None, [])
+
+
+def _three(points: Any) -> Array:
+    """Points with three coordinates."""
+    array = np.asarray(points, dtype=float)
+    return np.pad(array, ((0, 0), (0, 3 - array.shape[1]))) if array.shape[1] < 3 else array
+
+
+def _kind(name: str) -> str:
+    """Meshio's name of a kind of cells without order and number of nodes."""
+    plain = name.lower().replace("vtk_lagrange_", "")
+    plain = plain.replace("quadrilateral", "quad").replace("tetrahedron", "tetra")
+    return re.sub(r"\d+$", "", plain)
+
+
+def _triangles(found: Elements) -> Ints:
+    """Flat triangles of the cells, (T, 3): those of surfaces, or the boundary of a body."""
+    polygons = [
+        numbers[:, : {"triangle": 3, "quad": 4}.get(kind)]
+        for kind, numbers in found.cells
+        if kind in ("triangle", "quad", "polygon") and len(numbers)
+    ]
+    if not polygons:
+        polygons = _boundary(found)
+    cut = sum(len(corners) for corners in polygons if corners.shape[1] > 3)
+    if cut:
+        found.notes.append(f"cut into triangles: {cut} polygons")
+    return np.vstack([np.zeros((0, 3), dtype=np.int64), *_fans(polygons)])
+
+
+def _boundary(found: Elements) -> list[Ints]:
+    """Sides of the cells of a body that belong to one cell only, by kind of cell."""
+    out = []
+    for kind, numbers in _of_one_kind(found.cells):
+        found.notes.append(f"boundary of {len(numbers)} cells ({kind}) taken")
+        sides = np.vstack([numbers[:, side] for side in SIDES_OF[kind]])
+        _, first, times = np.unique(
+            np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        out.append(sides[np.sort(first[times == 1])])
+    return out
+
+
+def _of_one_kind(cells: list[tuple[str, Ints]]) -> Iterator[tuple[str, Ints]]:
+    for kind in SIDES_OF:
+        blocks = [numbers[:, : np.max(SIDES_OF[kind]) + 1] for k, numbers in cells if k == kind]
+        if blocks:
+            yield kind, np.vstack(blocks)
+
+
+def _fans(polygons: list[Ints]) -> Iterator[Ints]:
+    for corners in polygons:
+        n = corners.shape[1]
+        fan = np.array([[0, i, i + 1] for i in range(1, n - 1)])
+        yield corners[:, fan].reshape(-1, 3)
+
+
+def _joined(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
+    """Equal vertices as one, if that closes more of the surface."""
+    is_open = (sides_of(faces).times == 1).sum()
+    if is_open == 0:
+        return vertices, faces
+    place = merged(vertices, 0)[faces]
+    if (sides_of(place).times == 1).sum() >= is_open:
+        return vertices, faces
+    steps.append(f"merged {len(vertices)} vertices into {len(np.unique(place))} at the same places")
+    return without_unused(vertices, place, [])
+
+
+def _scale(found: Elements, unit: str | None) -> tuple[float, str | None]:
+    """Factor to a unit of length, and the unit."""
+    if unit is None or unit == found.unit:
+        return 1.0, found.unit
+    if found.unit is None:
+        raise ValueError(
+            f"{found.name} does not say its unit: leave unit out, and scale by hand, "
+            "such as tri.apply_scale(0.001)"
+        )
+    try:
+        return float(trimesh.units.unit_conversion(found.unit, unit)), unit
+    except (KeyError, ValueError) as error:
+        raise ValueError(
+            f'unit must be a unit of length such as "meters", got {shown(unit)}'
+        ) from error

@@ -1,0 +1,256 @@
+"""Which way the triangles of a surface run: alike with their neighbours, and outwards.
+
+Components are judged one by one. One that lies in no other must be oriented outwards; a cavity,
+which lies in an odd number of others, inwards, so that normals point out of the body.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from esfem_core.checks import Array, Bools, Ints
+
+__all__ = [
+    "Shells",
+    "Sides",
+    "components",
+    "shells",
+    "sides_of",
+    "turned_to_agree",
+    "turned_to_outside",
+    "winding_numbers",
+]
+
+PROBES = 3  # points of a component by which it is found inside another
+ENCLOSED = 0.75  # smallest winding number of a point inside; on the surface it is 0.5
+FLAT = 1e-12  # largest volume over area times diameter that is none
+CHUNK = 2**18  # pairs of points and triangles at a time
+
+
+class Sides(NamedTuple):
+    """The sides of the triangles, and which of them are one edge.
+
+    Side 3t + n of triangle t runs from its corner n to the next.
+
+    Attributes
+    ----------
+    start, end : (3T,) int arrays
+        Vertices.
+    edge : (3T,) int array
+        Number of the edge.
+    times : (3T,) int array
+        How many sides this edge has: 2 on a closed surface.
+    """
+
+    start: Ints
+    end: Ints
+    edge: Ints
+    times: Ints
+
+    def pairs(self) -> Ints:
+        """The two sides of each edge that has two, (E, 2)."""
+        order = np.argsort(self.edge, kind="stable")
+        return np.asarray(order[self.times[order] == 2].reshape(-1, 2), dtype=np.int64)
+
+
+def sides_of(faces: Ints) -> Sides:
+    """List the sides of triangles, (T, 3), of any mesh.
+
+    Examples
+    --------
+    >>> sides_of(np.array([[0, 1, 2], [1, 0, 3]])).times.tolist()
+    [2, 1, 1, 2, 1, 1]
+    """
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    keys = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
+    _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return Sides(start, end, edge.ravel(), count[edge.ravel()])
+
+
+def components(faces: Ints) -> Ints:
+    """Which component each triangle belongs to, (T,): those that are joined by vertices.
+
+    Examples
+    --------
+    >>> components(np.array([[0, 1, 2], [5, 6, 7], [2, 1, 3]])).tolist()
+    [0, 1, 0]
+    """
+    n = int(faces.max(initial=-1)) + 1
+    links = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
+    graph = coo_array((np.ones(links.shape[1]), tuple(links)), shape=(n, n))
+    of_vertex = connected_components(graph, directed=False)[1]
+    _, label = np.unique(of_vertex[faces[:, 0]], return_inverse=True)
+    return np.asarray(label.ravel(), dtype=np.int64)
+
+
+def turned_to_agree(faces: Ints) -> tuple[Bools, Bools]:
+    """Which triangles to turn so that neighbours run in opposite directions through their edge.
+
+    Take two copies of each triangle, one to each side, and link copies of neighbours that agree.
+    Around an orientable component the two copies stay apart: they are its two orientations, and
+    that which turns fewer triangles is taken.
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+        Only edges of two triangles make neighbours.
+
+    Returns
+    -------
+    turned : (T,) bool array
+    orientable : (T,) bool array
+        False in components that have no orientation, such as a Klein bottle.
+
+    Examples
+    --------
+    >>> turned_to_agree(np.array([[0, 1, 2], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))[0].tolist()
+    [True, False, False, False]
+    """
+    n = len(faces)
+    sides = sides_of(faces)
+    one, other = sides.pairs().T
+    against = sides.start[one] == sides.start[other]
+    one, other = one // 3, other // 3
+    links = (
+        np.concatenate([one, one + n]),
+        np.concatenate([other + n * against, other + n * ~against]),
+    )
+    graph = coo_array((np.ones(2 * len(one)), links), shape=(2 * n, 2 * n))
+    sheet = connected_components(graph, directed=False)[1].reshape(2, n)
+    orientable = sheet[0] != sheet[1]
+    turned = sheet[0] > sheet[1]
+    patch = sheet.min(axis=0)
+    mostly = np.bincount(patch, turned, minlength=2 * n) > np.bincount(patch, minlength=2 * n) / 2
+    return (turned ^ mostly[patch]) & orientable, orientable
+
+
+class Shells(NamedTuple):
+    """The components of a closed surface.
+
+    Attributes
+    ----------
+    label : (T,) int array
+        Component of each triangle.
+    volume : (C,) float array
+        Enclosed volumes, negative if oriented inwards.
+    depth : (C,) int array
+        In how many others each of them lies.
+    flat : (C,) bool array
+        Which enclose no volume.
+    """
+
+    label: Ints
+    volume: Array
+    depth: Ints
+    flat: Bools
+
+    def wrong(self) -> Bools:
+        """Which components are oriented the wrong way, (C,)."""
+        return np.asarray((self.volume < 0) != (self.depth % 2 == 1))
+
+
+def shells(vertices: Array, faces: Ints) -> Shells:
+    """Components, volumes and nesting of a closed surface whose neighbours are oriented alike.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> x, faces = ec.sphere().vertices, ec.sphere().faces
+    >>> nested = shells(np.vstack([x, 0.5 * x]), np.vstack([faces, len(x) + faces[:, ::-1]]))
+    >>> nested.depth.tolist(), np.sign(nested.volume).tolist(), nested.wrong().tolist()
+    ([0, 1], [1.0, -1.0], [False, False])
+    """
+    label = components(faces)
+    _, first = np.unique(label, return_index=True)
+
+    # Relative to a vertex of its own, so that places far from the origin cost no digits.
+    a, b, c = (vertices[corner] - vertices[faces[first, 0]][label] for corner in faces.T)
+    volume = np.bincount(label, (a * np.cross(b, c)).sum(axis=1)) / 6
+    area = np.bincount(label, np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2
+    low, high = _boxes(vertices, faces, label, len(first))
+    flat = np.abs(volume) <= FLAT * area * np.linalg.norm(high - low, axis=1)
+    return Shells(label, volume, _depths(vertices, faces, label, low, high), flat)
+
+
+def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
+    """Which triangles of a closed orientable surface to turn so that it is oriented as it must be.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> tri = ec.sphere("octahedron", 1)
+    >>> turned_to_outside(np.asarray(tri.vertices), tri.faces[:, ::-1]).all()
+    np.True_
+    """
+    turned, _ = turned_to_agree(faces)
+    alike = np.where(turned[:, None], faces[:, ::-1], faces)
+    found = shells(vertices, alike)
+    return turned ^ found.wrong()[found.label]
+
+
+def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:
+    """How often a closed surface winds around points: 1 inside, 0 outside, 1/2 on it.
+
+    The sum of the solid angles under which the triangles are seen, over 4 pi, by the formula of
+    Van Oosterom and Strackee (1983).
+
+    Parameters
+    ----------
+    points : (P, 3) float array
+    vertices : (n, 3) float array
+    faces : (T, 3) int array
+
+    Returns
+    -------
+    (P,) float array
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> tri = ec.sphere("octahedron", 1)
+    >>> w = winding_numbers(np.array([[0, 0, 0.5], [0, 0, 2]]), tri.vertices, tri.faces)
+    >>> np.allclose(w, [1, 0], atol=1e-14)
+    True
+    """
+    corners = np.asarray(vertices)[faces].transpose(1, 0, 2)  # (3, T, 3)
+    step = max(1, CHUNK // len(faces))
+    out = np.empty(len(points))
+    for n in range(0, len(points), step):
+        a, b, c = corners[:, None] - points[n : n + step, None]
+        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
+        triple = (a * np.cross(b, c)).sum(axis=2)
+        others = (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
+        out[n : n + step] = np.arctan2(triple, la * lb * lc + others).sum(axis=1) / (2 * np.pi)
+    return out
+
+
+def _boxes(vertices: Array, faces: Ints, label: Ints, count: int) -> tuple[Array, Array]:
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for corner in faces.T:
+        np.minimum.at(low, label, vertices[corner])
+        np.maximum.at(high, label, vertices[corner])
+    return low, high
+
+
+def _depths(vertices: Array, faces: Ints, label: Ints, low: Array, high: Array) -> Ints:
+    """In how many others each component lies; only boxes inside a box are looked at closer."""
+    count = len(low)
+    depth = np.zeros(count, dtype=np.int64)
+    if count == 1:
+        return depth
+    order = np.argsort(label, kind="stable")
+    ends = np.cumsum(np.bincount(label))
+    sizes = np.diff(ends, prepend=0)
+    picked = (ends - sizes)[:, None] + (np.arange(PROBES) * sizes[:, None]) // PROBES
+    probes = vertices[faces[order[picked]]].mean(axis=2)  # (C, PROBES, 3), centres of triangles
+    for outer in range(count):
+        inside = ((low[outer] <= low) & (high <= high[outer])).all(axis=1)
+        inside[outer] = False
+        inner = np.flatnonzero(inside)
+        if len(inner):
+            own = faces[order[ends[outer] - sizes[outer] : ends[outer]]]
+            w = winding_numbers(probes[inner].reshape(-1, 3), vertices, own)
+            depth[inner] += np.median(np.abs(w.reshape(-1, PROBES)), axis=1) > ENCLOSED
+    return depth

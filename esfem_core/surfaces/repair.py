@@ -1,0 +1,466 @@
+"""Repairs of a triangulation: what files and programs break, put right step by step.
+
+Each step takes vertices (n, 3) and triangles (T, 3), changes as little as it can, and says what
+it did. A mesh without a fault is left as it is.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from esfem_core.checks import Array, Bools, Ints, whole_number
+from esfem_core.surfaces.faults import (
+    Fault,
+    check_is_trimesh,
+    fans,
+    fault,
+    flat_triangles,
+    repeated_corners,
+)
+from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree
+
+__all__ = ["Repaired", "counted", "merged", "remedy", "repair", "repaired", "without_unused"]
+
+HOLE = 12  # edges of the largest hole that is filled without being asked for
+LID = 200  # edges of the largest hole that a message offers to fill
+NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
+SEPARATION = 1e-3  # how far a vertex that is split moves into its fan, over the fan's size
+FLIPS = 10  # sweeps over flat triangles
+
+
+def repair(
+    tri: trimesh.Trimesh, holes: int = HOLE, report: Callable[[str], object] | None = print
+) -> trimesh.Trimesh:
+    """Make a triangulation fit for a :class:`esfem_core.SurfaceSpace`.
+
+    In this order, and only where it is needed:
+
+    1. triangles with corners that are missing or not finite are dropped;
+    2. vertices at one place become one, whatever their texture or normal (first equal ones, then
+       those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it);
+    3. triangles with a corner twice are dropped, of those with the same three corners one is
+       kept, or none if they face each other; triangles without area are flipped away;
+    4. neighbours are oriented alike, most triangles staying as they are;
+    5. holes of up to `holes` edges are filled without new vertices, with the smallest area;
+    6. where surfaces touch in a vertex or an edge, each gets its own, moved apart by a
+       thousandth of the triangles, so that no later merging joins them;
+    7. components are oriented outwards, cavities inwards; those that enclose no volume, single
+       triangles and sheets, are dropped if there are others;
+    8. vertices without triangles are dropped.
+
+    Parameters
+    ----------
+    tri : trimesh.Trimesh
+        It stays as it is.
+    holes : int
+        Edges of the largest hole that is filled, 0 for none.
+    report : callable, optional
+        Is told each thing that was done, in a line of text.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Accepted by :func:`esfem_core.check_triangulation`. Colours and textures are lost if
+        anything was done.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `tri` is not a :class:`trimesh.Trimesh`; if what comes out would be refused: it is not
+        closed, not a manifold, or not orientable. The message says what is left to a person.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> tri = ec.sphere("icosahedron", 1)
+    >>> soup = trimesh.Trimesh(tri.triangles.reshape(-1, 3), np.arange(240).reshape(-1, 3),
+    ...                        process=False)
+    >>> soup.update_faces(np.arange(80) != 7)
+    >>> whole = repair(soup)
+    dropped 3 vertices without triangles
+    merged 237 vertices into 42 at the same places
+    filled 1 hole of 3 edges with 1 triangle
+    >>> print(f"{whole.volume / tri.volume:.12f}")
+    1.000000000000
+    """
+    check_is_trimesh("tri", tri)
+    holes = whole_number("holes", holes, 0)
+    vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
+    if fault(vertices, faces) is None:
+        if report:
+            report("nothing to repair")
+        return tri.copy()
+    result = repaired(vertices, faces, holes)
+    if report:
+        for step in result.steps:
+            report(step)
+    left = fault(result.vertices, result.faces)
+    if left is not None:
+        raise ValueError(
+            f"tri cannot be repaired: {left.text}; {_next(vertices, faces, left, holes)}"
+        )
+    made = trimesh.Trimesh(result.vertices, result.faces, process=False, metadata=tri.metadata)
+    made.units = tri.units
+    return made
+
+
+class Repaired(NamedTuple):
+    """Vertices, triangles, and what was done to them."""
+
+    vertices: Array
+    faces: Ints
+    steps: list[str]
+
+
+def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
+    """What :func:`repair` does, on arrays; faults may be left."""
+    steps: list[str] = []
+    known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+    infinite = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    fit = known & ~np.isin(faces, infinite).any(axis=1)
+    faces = faces[fit]
+    if not fit.all():
+        steps.append(
+            f"dropped {counted((~fit).sum(), 'triangle')} with missing or infinite corners"
+        )
+    if len(faces) > 0:
+        vertices, faces = without_unused(vertices, faces, steps)
+        vertices, faces = _merge(vertices, faces, steps)
+    if len(faces) > 0:
+        faces = _flip_flat(vertices, faces, steps)
+        faces = _agree(faces, steps)
+        faces = _fill(vertices, faces, holes, steps)
+        vertices, faces = _split(vertices, faces, steps)
+        vertices, faces = without_unused(vertices, _turn(vertices, faces, steps), [])
+    return Repaired(vertices, faces, steps)
+
+
+def remedy(vertices: Array, faces: Ints, found: Fault) -> str:
+    """What a person can do about a fault: the advice has been tried."""
+    if not found.repairable:
+        return found.advice
+    result = repaired(vertices, faces)
+    left = fault(result.vertices, result.faces)
+    if left is None:
+        return f"tri = ec.repair(tri) helps ({', '.join(result.steps)})"
+    same = left.text.split(":")[0] == found.text.split(":")[0]
+    rest = "" if same else f"ec.repair is not enough: then {left.text}; "
+    return rest + _next(vertices, faces, left, HOLE)
+
+
+def counted(n: int, one: str, many: str | None = None) -> str:
+    """A number and what it counts: "1 hole", "2 holes"."""
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def merged(points: Array, distance: float) -> Ints:
+    """Number of the first of the points at each one's place, (n,).
+
+    Examples
+    --------
+    >>> merged(np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1e-9]]), 1e-8).tolist()
+    [0, 1, 0]
+    """
+    if distance == 0:
+        # Adding 0 makes 0 of -0.
+        _, first, place = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(first[place.ravel()], dtype=np.int64)
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(points),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    _, first = np.unique(label, return_index=True)
+    return np.asarray(first[label], dtype=np.int64)
+
+
+def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
+    """Advice for what a repair leaves: larger lids where they would do."""
+    sides = sides_of(repaired(vertices, faces, 0).faces)
+    rims = [len(rim) for rim in _rims(sides.start, sides.end, sides.times == 1)]
+    largest = max(rims, default=0)
+    if holes < largest <= LID:
+        attempt = repaired(vertices, faces, largest)
+        if fault(attempt.vertices, attempt.faces) is None:
+            return (
+                f"the theory is for closed surfaces, and {counted(len(rims), 'hole')} of up to "
+                f"{largest} edges {'is' if len(rims) == 1 else 'are'} open: "
+                f"tri = ec.repair(tri, holes={largest}) puts lids on them"
+            )
+    return left.advice
+
+
+def without_unused(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
+    """Drop vertices that no cell uses; what was dropped is added to `steps`."""
+    used, renumbered = np.unique(faces, return_inverse=True)
+    if len(used) < len(vertices):
+        lost = len(vertices) - len(used)
+        steps.append(f"dropped {counted(lost, 'vertex', 'vertices')} without triangles")
+    return vertices[used], renumbered.reshape(faces.shape)
+
+
+def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
+    """Steps 2 and 3: what closes most of the surface, merging as little as possible."""
+    best: tuple[int, Array, Ints, list[str]] | None = None
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    for near in (None, *NEAR):
+        x, f = vertices, faces
+        said: list[str] = []
+        if near is not None:
+            f = merged(x, near * diagonal)[f]
+            count = len(np.unique(f))
+            if count < len(x):
+                what = f"within {near * diagonal:.1g}" if near else "at the same places"
+                said.append(f"merged {len(x)} vertices into {count} {what}")
+        f = _drop_doubles(f, said)
+        x, f = without_unused(x, f, [])
+        broken = int((sides_of(f).times == 1).sum()) + int(len(f) and flat_triangles(x, f).sum())
+        if best is None or broken < best[0]:
+            best = broken, x, f, said
+        if broken == 0:
+            break
+    assert best is not None
+    steps += best[3]
+    return best[1], best[2]
+
+
+def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:
+    """Drop triangles with a corner twice, and all but one of those with the same corners."""
+    repeated = repeated_corners(faces)
+    if repeated.any():
+        steps.append(f"dropped {counted(repeated.sum(), 'triangle')} with a corner twice")
+        faces = faces[~repeated]
+    order = np.argsort(faces, axis=1)
+    even = ((order[:, 1] - order[:, 0]) % 3) == 1  # a rotation of the sorted corners
+    _, first, group, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    group = group.ravel()
+    if (count == 1).all():
+        return faces
+    sign = np.bincount(group, np.where(even, 1, -1), minlength=len(first))
+    keep = np.zeros(len(faces), dtype=bool)
+    keep[first[(count == 1) | (sign != 0)]] = True
+    steps.append(f"dropped {counted((~keep).sum(), 'triangle')} that others cover")
+    return faces[keep]
+
+
+def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
+    """Give the longest side of a flat triangle (a, b, c) to c: its neighbour becomes two."""
+    faces = faces.copy()
+    flips = 0
+    for _ in range(FLIPS):
+        flat = np.flatnonzero(flat_triangles(vertices, faces))
+        if len(flat) == 0:
+            break
+        sides = sides_of(faces)
+        partner = np.full(faces.size, -1)
+        pairs = sides.pairs()
+        partner[pairs] = pairs[:, ::-1]
+        edges = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
+        touched: set[int] = set()
+        for t in flat.tolist():
+            corners = vertices[faces[t]]
+            lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+            side = 3 * t + int(np.argmax(lengths))
+            other = int(partner[side])
+            if other < 0 or sides.start[side] == sides.start[other]:
+                continue
+            s = other // 3
+            a, b = sides.start[side], sides.end[side]
+            c, d = faces[t][(side + 2) % 3], faces[s][(other + 2) % 3]
+            if {s, t} & touched or (c, d) in edges or (d, c) in edges:
+                continue
+            faces[t], faces[s] = (a, d, c), (d, b, c)
+            touched |= {s, t}
+            edges.add((c, d))
+            flips += 1
+        if not touched:
+            break
+    if flips:
+        steps.append(f"flipped {counted(flips, 'edge')} of triangles without area")
+    return faces
+
+
+def _agree(faces: Ints, steps: list[str]) -> Ints:
+    """Step 4."""
+    turned, _ = turned_to_agree(faces)
+    if turned.any():
+        steps.append(f"turned {counted(turned.sum(), 'triangle')} to agree with neighbours")
+    return _with_turned(faces, turned)
+
+
+def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
+    """Step 5."""
+    sides = sides_of(faces)
+    if not (sides.times == 1).any() or holes < 3:
+        return faces
+    taken = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
+    sizes, lids = [], []
+    for rim in _rims(sides.start, sides.end, sides.times == 1):
+        if len(rim) <= holes and (lid := _lid(vertices, rim, taken)):
+            sizes.append(len(rim))
+            lids += lid
+    if lids:
+        n, largest, added = len(sizes), max(sizes), counted(len(lids), "triangle")
+        upto = "" if n == 1 else "up to "
+        steps.append(f"filled {counted(n, 'hole')} of {upto}{largest} edges with {added}")
+        faces = np.vstack([faces, lids])
+    return faces
+
+
+def _rims(start: Ints, end: Ints, is_open: Bools) -> Iterator[list[int]]:
+    """Closed loops of open sides, each as its vertices in the direction that a lid needs.
+
+    A walk from side to side; where it comes back to a vertex it has passed, the loop since then
+    is cut off.
+    """
+    after: dict[int, list[int]] = {}
+    for i, j in zip(start[is_open].tolist(), end[is_open].tolist(), strict=True):
+        after.setdefault(j, []).append(i)
+    for begin in list(after):
+        walk, place = [begin], {begin: 0}
+        while walk:
+            ways = after.get(walk[-1])
+            if not ways:
+                del place[walk.pop()]
+                continue
+            vertex = ways.pop()
+            if vertex not in place:
+                place[vertex] = len(walk)
+                walk.append(vertex)
+                continue
+            n = place[vertex]
+            yield walk[n:]
+            for passed in walk[n + 1 :]:
+                del place[passed]
+            del walk[n + 1 :]
+
+
+def _lid(
+    vertices: Array, rim: list[int], taken: set[tuple[int, int]]
+) -> list[tuple[int, int, int]]:
+    """Triangles of the smallest area that fill a loop; [] if there are none.
+
+    Dynamic programming over the parts of the loop from i to j (Barequet and Sharir 1995): the
+    best triangle on the chord from i to j has its third corner m between them. Chords that are
+    edges of the surface already are not allowed, and flat triangles are the last resort.
+    """
+    n = len(rim)
+    x = vertices[rim] - vertices[rim[0]]
+    cost, third = np.full((n, n), np.inf), np.zeros((n, n), dtype=np.int64)
+    cost[np.arange(n - 1), np.arange(1, n)] = 0
+    scale = float((np.ptp(x, axis=0) ** 2).sum())
+    for length in range(2, n):
+        for i in range(n - length):
+            j = i + length
+            closing = length == n - 1
+            if not closing and {(rim[i], rim[j]), (rim[j], rim[i])} & taken:
+                continue
+            m = np.arange(i + 1, j)
+            a, b, c = x[i], x[m], x[j]
+            area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+            squares = ((b - a) ** 2 + (c - b) ** 2).sum(axis=1) + ((c - a) ** 2).sum()
+            flat = area < 1e-6 * squares
+            total = cost[i, m] + cost[m, j] + area + 1e3 * scale * flat
+            best = int(np.argmin(total))
+            cost[i, j], third[i, j] = total[best], m[best]
+    if not np.isfinite(cost[0, n - 1]):
+        return []
+    lid, parts = [], [(0, n - 1)]
+    while parts:
+        i, j = parts.pop()
+        if j - i < 2:
+            continue
+        between = int(third[i, j])
+        lid.append((rim[i], rim[between], rim[j]))
+        taken |= {(rim[i], rim[j]), (rim[j], rim[i])}
+        parts += [(i, between), (between, j)]
+    return lid
+
+
+def _split(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
+    """Step 6: vertices for each fan, across edges that two sheets have in common."""
+    sides = sides_of(faces)
+    pairs = np.vstack([sides.pairs(), *_sheets(vertices, faces)])
+    if 2 * len(pairs) < faces.size:
+        return vertices, faces  # open, or no body at some edge: nothing that splitting helps
+    fan = fans(faces, pairs)
+    _, first, own = np.unique(fan, return_index=True, return_inverse=True)
+    at = faces.ravel()[first]  # vertex of each fan
+    if len(first) == len(vertices):
+        return vertices, faces
+    order = np.argsort(at, kind="stable")
+    again = np.zeros(len(first), dtype=bool)
+    again[order[1:]] = at[order[1:]] == at[order[:-1]]  # all fans of a vertex but one
+    number = at.copy()
+    number[again] = len(vertices) + np.arange(again.sum())
+    split = number[own].reshape(faces.shape)
+
+    # Each new vertex goes a little towards the middle of its fan.
+    middle = np.zeros((len(first), 3))
+    np.add.at(middle, own, np.repeat(vertices[faces].mean(axis=1), 3, axis=0))
+    middle /= np.bincount(own)[:, None]
+    moved = vertices[at] + SEPARATION * (middle - vertices[at])
+    steps.append(
+        f"split {counted(len(np.unique(at[again])), 'vertex', 'vertices')} where the surface "
+        "touched itself"
+    )
+    return np.vstack([vertices, moved[again]]), split
+
+
+def _sheets(vertices: Array, faces: Ints) -> Iterator[Ints]:
+    """Pairs of sides at edges of four and more triangles, the body between the two of a pair.
+
+    Around such an edge the triangles that run from i to j and those that run from j to i follow
+    each other by turns, if they bound a body that touches itself there.
+    """
+    sides = sides_of(faces)
+    a, b, c = (vertices - vertices.mean(axis=0))[faces.T]
+    back = 1 if (a * np.cross(b, c)).sum() > 0 else -1  # or all are inside out
+    many = np.flatnonzero(sides.times > 2)
+    many = many[np.argsort(sides.edge[many], kind="stable")]
+    for group in np.split(many, np.flatnonzero(np.diff(sides.edge[many])) + 1):
+        if len(group) == 0:
+            return
+        i, j = sorted((int(sides.start[group[0]]), int(sides.end[group[0]])))
+        axis = vertices[j] - vertices[i]
+        axis /= np.linalg.norm(axis)
+        away = vertices[faces[group // 3, (group + 2) % 3]] - vertices[i]
+        away -= (away @ axis)[:, None] * axis
+        first = away[0] / np.linalg.norm(away[0])
+        group = group[np.argsort(np.arctan2(away @ np.cross(axis, first), away @ first))]
+        forth = sides.start[group] == i
+        if len(group) % 2 or (forth == np.roll(forth, 1)).any():
+            continue
+        # The normal of a triangle that runs from i to j points to larger angles, so that its
+        # body, and the other triangle of its sheet, is at smaller ones.
+        yield np.stack([group, np.roll(group, back)], axis=1)[forth]
+
+
+def _turn(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
+    """Step 7."""
+    sides = sides_of(faces)
+    one, other = sides.pairs().T
+    if (sides.times != 2).any() or (sides.start[one] == sides.start[other]).any():
+        return faces
+    found = shells(vertices, faces)
+    if found.flat.any() and not found.flat.all():
+        steps.append(f"dropped {counted(found.flat.sum(), 'component')} without volume")
+        faces = faces[~found.flat[found.label]]
+        found = shells(vertices, faces)
+    wrong = found.wrong() & ~found.flat
+    inwards = int((wrong & (found.volume > 0)).sum())
+    outwards = int(wrong.sum()) - inwards
+    if outwards:
+        steps.append(f"turned {counted(outwards, 'component')} outwards")
+    if inwards:
+        steps.append(f"turned {counted(inwards, 'cavity', 'cavities')} inwards")
+    return _with_turned(faces, wrong[found.label])
+
+
+def _with_turned(faces: Ints, turned: Bools) -> Ints:
+    return np.asarray(np.where(turned[:, None], faces[:, ::-1], faces))

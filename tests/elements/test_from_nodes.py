@@ -1,0 +1,143 @@
+"""Spaces of given nodes and elements: of any degree, from files, and turned where they must be."""
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from broken_meshes import SPHERE, joined, mesh
+
+import esfem_core as ec
+from esfem_core.elements.numbering import mirrored
+
+DATA = Path(__file__).parents[1] / "surfaces" / "data"
+
+
+def curved(degree, tri=SPHERE):
+    return ec.SurfaceSpace(tri, degree, ec.to_unit_sphere)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("order", ["vtk", "gmsh", "meshio"])
+def test_nodes_and_elements_come_back_bit_for_bit(degree, order):
+    made = curved(degree)
+    space = ec.SurfaceSpace.from_nodes(made.nodes, made.cells, order=order)
+    np.testing.assert_array_equal(space.nodes, made.nodes)
+    np.testing.assert_array_equal(space.cells, made.cells)
+
+
+# Areas that Gmsh itself computes from its elements, with the quadrature of the space.
+@pytest.mark.parametrize(("degree", "area"), [(2, 12.544690125494014), (3, 12.57494757918213)])
+def test_spheres_of_gmsh_have_their_area_to_the_last_bits(degree, area):
+    said = []
+    space = ec.SurfaceSpace.read(DATA / f"sphere_{degree}.msh", report=said.append)
+    assert said == [f"sphere_{degree}.msh: degree {degree}, {len(space.nodes)} nodes, 78 cells"]
+    assert space.integrate(space.nodes, 1) == pytest.approx(area, rel=1e-15)
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "msh"])
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_files_of_any_degree_give_the_space_back(tmp_path, suffix, degree):
+    made = curved(degree)
+    kind = "triangle" if degree == 1 else f"triangle{made.cells.shape[1]}"
+    if suffix == "vtu" and degree > 2:
+        kind = "VTK_LAGRANGE_TRIANGLE"
+    path = tmp_path / f"sphere.{suffix}"
+    options = {"file_format": "gmsh"} if suffix == "msh" else {}
+    meshio.write_points_cells(path, made.nodes, [(kind, made.cells)], **options)
+    space = ec.SurfaceSpace.read(path, report=None)
+    np.testing.assert_array_equal(space.cells, made.cells)
+    np.testing.assert_allclose(space.nodes, made.nodes, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_elements_of_mixed_orientation_are_turned(degree):
+    made = curved(degree, joined(SPHERE, mesh(0.4 * SPHERE.vertices, SPHERE.faces[:, ::-1])))
+    cells = np.array(made.cells)
+    wrong = np.random.default_rng(0).random(len(cells)) < 0.4
+    cells[wrong] = cells[wrong][:, mirrored(degree)]
+    said = []
+    source = meshio.Mesh(
+        made.nodes, [(f"triangle{cells.shape[1]}" if degree > 1 else "triangle", cells)]
+    )
+    space = ec.SurfaceSpace.read(source, report=said.append)
+    np.testing.assert_array_equal(space.cells, made.cells)
+    assert said[1] == f"turned {wrong.sum()} elements to agree and point outwards"
+    inwards = ec.SurfaceSpace.from_nodes(made.nodes, made.cells[:, mirrored(degree)])
+    np.testing.assert_array_equal(inwards.cells, made.cells)
+
+
+def test_elements_without_common_nodes_are_joined_by_reading_and_refused_as_arrays():
+    made = curved(2)
+    nodes, cells = made.nodes[made.cells].reshape(-1, 3), np.arange(480).reshape(80, 6)
+    with pytest.raises(ValueError, match=r"not closed: .* SurfaceSpace\.read makes one of nodes"):
+        ec.SurfaceSpace.from_nodes(nodes, cells)
+    said = []
+    space = ec.SurfaceSpace.read(meshio.Mesh(nodes, [("triangle6", cells)]), report=said.append)
+    assert said[1] == "merged 480 nodes into 162 at the same places"
+    assert space.integrate(space.nodes, 1) == pytest.approx(
+        made.integrate(made.nodes, 1), rel=1e-15
+    )
+
+
+def test_nodes_outside_of_all_elements_are_refused_with_a_line_that_works():
+    made = curved(2)
+    nodes, cells = np.vstack([[[9.0, 9, 9]], made.nodes]), made.cells + 1
+    with pytest.raises(ValueError, match=r"node 0 belongs to no element \(1 such nodes\)") as error:
+        ec.SurfaceSpace.from_nodes(nodes, cells)
+    assert "used, numbers = np.unique(cells, return_inverse=True) gives nodes[used]" in str(
+        error.value
+    )
+    used, numbers = np.unique(cells, return_inverse=True)
+    space = ec.SurfaceSpace.from_nodes(nodes[used], numbers.reshape(cells.shape))
+    np.testing.assert_array_equal(space.nodes, made.nodes)
+    assert (
+        len(ec.SurfaceSpace.read(meshio.Mesh(nodes, [("triangle6", cells)]), report=None).nodes)
+        == 162
+    )
+
+
+def test_another_order_of_nodes_is_found_out():
+    """As in Basix: edges (1, 2), (0, 2), (0, 1)."""
+    made = curved(2)
+    with pytest.raises(
+        ValueError, match=r"does not have the nodes of its neighbours .*permutation"
+    ):
+        ec.SurfaceSpace.from_nodes(made.nodes, made.cells[:, [0, 1, 2, 4, 5, 3]])
+    with pytest.raises(ValueError, match=r'order must be "vtk", "gmsh" or "meshio"'):
+        ec.SurfaceSpace.from_nodes(made.nodes, made.cells, order="basix")
+
+
+def test_unfit_elements_are_refused():
+    made = curved(2)
+    for cells, text in [
+        (made.cells[:, :5], "cells must have 3, 6, 10, .* columns"),
+        (made.cells + 1, "cells must hold numbers of nodes, 0 to 161"),
+        (made.cells[1:], "no fit triangulation: the surface is not closed"),
+    ]:
+        with pytest.raises(ValueError, match=text):
+            ec.SurfaceSpace.from_nodes(made.nodes, cells)
+    mixed = meshio.Mesh(
+        made.nodes, [("triangle6", made.cells[:40]), ("triangle", made.cells[40:, :3])]
+    )
+    with pytest.raises(ValueError, match="elements with 3 and 6 nodes: a space has one degree"):
+        ec.SurfaceSpace.read(mixed)
+    quads = meshio.Mesh(made.nodes, [("triangle6", made.cells), ("quad", made.cells[:1, :4])])
+    with pytest.raises(ValueError, match="holds quad; curved elements must be triangles"):
+        ec.SurfaceSpace.read(quads)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_vertices_are_projected_on_demand(degree):
+    near = mesh(1.05 * SPHERE.vertices, SPHERE.faces)
+    space = ec.SurfaceSpace(near, degree, ec.to_unit_sphere, project_vertices=True)
+    np.testing.assert_allclose(np.linalg.norm(space.nodes, axis=1), 1, atol=1e-15)
+    stays = ec.SurfaceSpace(near, degree, ec.to_unit_sphere)
+    np.testing.assert_array_equal(stays.nodes[:42], near.vertices)
+
+
+def test_a_projection_that_spoils_the_triangulation_is_refused():
+    with pytest.raises(ValueError, match=r"project makes the triangulation unfit: .* degenerate"):
+        ec.SurfaceSpace(SPHERE, 2, lambda x: x * [1, 0, 0], project_vertices=True)
+    with pytest.raises(ValueError, match="project_vertices needs a project"):
+        ec.SurfaceSpace(SPHERE, 2, project_vertices=True)

@@ -1,0 +1,194 @@
+"""Meshes from files of many kinds, and from other libraries."""
+
+import io
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+from broken_meshes import SPHERE, klein_bottle, mesh, pinched, soup, turned
+
+import esfem_core as ec
+
+DATA = Path(__file__).parent / "data"
+SHARED = Path(__file__).parents[2]
+
+
+def read(source, **options):
+    said = []
+    return ec.read_mesh(source, report=said.append, **options), said
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path
+
+
+def written(folder, name, tri=SPHERE):
+    path = folder / name
+    if path.suffix[1:] in ("stl", "ply", "obj", "off", "glb"):
+        tri.export(path)
+    else:
+        meshio.write_points_cells(path, tri.vertices, [("triangle", np.asarray(tri.faces))])
+    return path
+
+
+FORMATS = ["stl", "ply", "obj", "off", "glb", "vtk", "vtu", "msh", "mesh", "inp", "avs", "xml"]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_closed_surface_of_any_format_is_fit_at_once(folder, suffix):
+    tri, said = read(written(folder, f"sphere.{suffix}"))
+    unit = " meters" if suffix == "glb" else ""
+    assert said[
+        0
+    ] == f"sphere.{suffix}: 42 vertices, 80 triangles, 1 component, 1.9 x 1.9 x 1.9{unit}".replace(
+        "1.9 x 1.9 x 1.9", " x ".join(f"{n:.3g}" for n in np.ptp(SPHERE.vertices, axis=0))
+    )
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert ("merged 240 vertices into 42 at the same places" in said) == (suffix == "stl")
+    assert tri.volume == pytest.approx(SPHERE.volume, rel=1e-6)
+    ec.SurfaceSpace(tri)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize(
+    ("broken", "word"),
+    [
+        (mesh(SPHERE.vertices, SPHERE.faces[1:]), "filled 1 hole"),
+        (turned(SPHERE), "turned 1 component outwards"),
+        (pinched(), "split 1 vertex"),
+    ],
+    ids=["hole", "inside out", "pinched"],
+)
+def test_a_broken_surface_of_any_format_comes_with_advice_that_works(folder, suffix, broken, word):
+    tri, said = read(written(folder, f"broken.{suffix}", broken))
+    assert said[-1].startswith("not fit as it is: ")
+    assert "tri = ec.repair(tri) helps" in said[-1]
+    assert word in said[-1]
+    ec.SurfaceSpace(ec.repair(tri, report=None))
+
+
+def test_lengths_of_1e_minus_8_survive_a_file(folder):
+    for suffix in ("stl", "ply", "obj"):
+        path = written(folder, f"small.{suffix}", mesh(1e-8 * SPHERE.vertices, SPHERE.faces))
+        if suffix == "obj":  # trimesh writes eight digits after the point
+            lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (1e-8 * SPHERE.vertices).tolist()]
+            path.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in SPHERE.faces + 1]))
+        tri, said = read(path)
+        assert said[-1] == "fit for ec.SurfaceSpace"
+        assert tri.volume == pytest.approx(1e-24 * SPHERE.volume, rel=1e-5)
+
+
+def test_a_texture_does_not_tear_a_surface(folder):
+    s, uv = ec.sphere("octahedron", 1), np.random.default_rng(0).random((96, 2))
+    lines = [f"v {x} {y} {z}" for x, y, z in s.vertices.tolist()] + [f"vt {a} {b}" for a, b in uv]
+    for t, face in enumerate(s.faces.tolist()):
+        lines.append("f " + " ".join(f"{i + 1}/{3 * t + c + 1}" for c, i in enumerate(face)))
+    path = folder / "textured.obj"
+    path.write_text("\n".join(lines))
+    tri, said = read(path)
+    assert said[1:] == ["merged 96 vertices into 18 at the same places", "fit for ec.SurfaceSpace"]
+    assert len(tri.vertices) == 18
+
+
+def test_parts_of_a_scene_stand_in_their_places(folder):
+    scene = trimesh.Scene([SPHERE])
+    mirror = np.diag([-1.0, 1, 1, 1])
+    mirror[0, 3] = 5
+    scene.add_geometry(SPHERE, transform=mirror)
+    path = folder / "two.glb"
+    scene.export(path)
+    for source in (scene, path, trimesh.load(io.BytesIO(path.read_bytes()), file_type="glb")):
+        tri, said = read(source)
+        assert "parts of the scene joined: 2" in said
+        assert said[-1] == "fit for ec.SurfaceSpace"
+        assert tri.bounds[1, 0] == pytest.approx(5 + SPHERE.vertices[:, 0].max())
+        assert tri.volume == pytest.approx(2 * SPHERE.volume, rel=1e-6)
+
+
+def test_units_are_kept_converted_or_missed(folder):
+    path = written(folder, "sphere.glb")
+    assert read(path)[0].units == "meters"
+    tri, said = read(path, unit="millimeters")
+    assert tri.units == "millimeters"
+    assert said[0].endswith("millimeters")
+    assert tri.volume == pytest.approx(1e9 * SPHERE.volume, rel=1e-6)
+    with pytest.raises(ValueError, match=r'unit must be a unit of length such as "meters"'):
+        read(path, unit="parsnips")
+    with pytest.raises(ValueError, match=r"sphere\.stl does not say its unit.*apply_scale"):
+        read(written(folder, "sphere.stl"), unit="meters")
+
+
+def test_meshes_of_meshio_and_trimesh_are_taken():
+    cells = [("triangle", np.asarray(SPHERE.faces))]
+    for source in (meshio.Mesh(SPHERE.vertices, cells), SPHERE, soup(SPHERE)):
+        tri, said = read(source)
+        assert said[-1] == "fit for ec.SurfaceSpace"
+        assert len(tri.vertices) == 42
+
+
+def test_meshes_of_pyvista_are_taken():
+    pyvista = pytest.importorskip("pyvista")
+    _, said = read(pyvista.Sphere())
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    made = ec.SurfaceSpace(SPHERE, 3, ec.to_unit_sphere)
+    grid = pyvista.UnstructuredGrid({69: made.cells}, made.nodes)
+    assert len(read(grid)[0].faces) == 80
+    space = ec.SurfaceSpace.read(grid, report=None)
+    np.testing.assert_array_equal(space.nodes, made.nodes)
+    np.testing.assert_array_equal(space.cells, made.cells)
+
+
+def test_polygons_and_bodies_become_triangles():
+    box = np.array([[x, y, z] for z in (0.0, 1) for y in (0.0, 1) for x in (0.0, 1)])
+    cube = np.array([[0, 1, 3, 2, 4, 5, 7, 6]])
+    tets = np.array(
+        [[0, 1, 3, 7], [0, 1, 7, 5], [0, 5, 7, 4], [0, 3, 2, 7], [0, 6, 4, 7], [0, 2, 6, 7]]
+    )
+    quads = cube[0][
+        [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    ]
+    for kind, cells in (("hexahedron", cube), ("tetra", tets), ("quad", quads)):
+        tri, said = read(meshio.Mesh(np.vstack([box, [[9.0, 9, 9]]]), [(kind, cells)]))
+        assert said[-1] == "fit for ec.SurfaceSpace", said
+        assert (len(tri.vertices), len(tri.faces)) == (8, 12)
+        assert tri.volume == pytest.approx(1)
+
+
+def test_of_curved_elements_the_corners_are_taken_and_that_is_said():
+    tri, said = read(DATA / "sphere_2.msh")
+    assert said[1].startswith("corners of elements with 6 nodes taken; ec.SurfaceSpace.read")
+    assert (len(tri.vertices), len(tri.faces)) == (41, 78)
+
+
+def test_what_is_no_surface_is_reported():
+    _, said = read(klein_bottle())
+    assert "not orientable" in said[-1]
+    assert "repair" not in said[-1]
+
+
+def test_what_cannot_be_read_is_refused_with_what_to_do(folder):
+    with pytest.raises(FileNotFoundError, match=r"there is no file '.*nothing\.stl'"):
+        read(folder / "nothing.stl")
+    with pytest.raises(TypeError, match=r"source must be the path of a file, or a mesh of trimesh"):
+        read(7)
+    for name in ("broken.vtk", "broken.ply", "broken.txt"):
+        (folder / name).write_text("no mesh")
+        with pytest.raises(
+            ValueError, match=rf"{name} cannot be read as .*or else write it as PLY"
+        ):
+            read(folder / name)
+    cloud = trimesh.PointCloud(SPHERE.vertices)
+    with pytest.raises(ValueError, match=r"Scene holds no triangles \(points only\)"):
+        read(trimesh.Scene([cloud]))
+
+
+def test_a_missing_reader_is_named(folder, monkeypatch):
+    path = written(folder, "sphere.vtk")
+    monkeypatch.setitem(__import__("sys").modules, "meshio", None)
+    with pytest.raises(
+        ImportError, match=r"\.vtk are read by meshio: pip install esfem-core\[files\]"
+    ):
+        read(path)

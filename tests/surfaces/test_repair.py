@@ -1,0 +1,179 @@
+"""What a repair does to a mesh, and what it leaves alone."""
+
+import contextlib
+
+import numpy as np
+import pytest
+import trimesh
+from broken_meshes import (
+    BROKEN,
+    SPHERE,
+    boxes_with_a_common_edge,
+    half,
+    joined,
+    klein_bottle,
+    longitudes,
+    mesh,
+    pinched,
+    soup,
+    turned,
+)
+
+import esfem_core as ec
+
+
+def repaired(tri, **options):
+    said = []
+    return ec.repair(tri, report=said.append, **options), said
+
+
+def test_a_mesh_without_a_fault_is_left_as_it_is():
+    again, said = repaired(SPHERE)
+    assert said == ["nothing to repair"]
+    np.testing.assert_array_equal(again.vertices, SPHERE.vertices)
+    np.testing.assert_array_equal(again.faces, SPHERE.faces)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_the_given_mesh_stays_as_it_is(name):
+    tri = BROKEN[name][0]
+    vertices, faces = np.array(tri.vertices), np.array(tri.faces)
+    with contextlib.suppress(ValueError):
+        ec.repair(tri, report=None)
+    np.testing.assert_array_equal(tri.vertices, vertices)
+    np.testing.assert_array_equal(tri.faces, faces)
+
+
+def test_repairs_are_printed_unless_told_otherwise(capsys):
+    ec.repair(soup(SPHERE))
+    assert capsys.readouterr().out == "merged 240 vertices into 42 at the same places\n"
+    ec.repair(soup(SPHERE), report=None)
+    assert capsys.readouterr().out == ""
+
+
+def test_vertices_are_merged_across_seams_of_textures_and_normals():
+    tri = soup(SPHERE)
+    uv = np.random.default_rng(0).random((240, 2))
+    tri.visual = trimesh.visual.TextureVisuals(uv=uv)
+    tri.merge_vertices()
+    assert len(tri.vertices) == 240
+    assert len(ec.repair(tri, report=None).vertices) == 42
+
+
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e6])
+@pytest.mark.parametrize("noise", [0.0, 1e-10, 1e-7])
+def test_merging_knows_the_size_of_the_surface(size, noise):
+    tri = soup(SPHERE)
+    x = tri.vertices + noise * np.random.default_rng(1).uniform(-1, 1, (240, 3))
+    whole, said = repaired(mesh(size * x, tri.faces))
+    assert len(whole.vertices) == 42
+    assert len(said) == 1
+    assert whole.volume == pytest.approx(size**3 * SPHERE.volume, rel=1e-6)
+
+
+def test_a_mesh_far_from_the_origin_is_repaired():
+    tri = soup(SPHERE)
+    whole, _ = repaired(mesh(np.asarray(tri.vertices) + 1e6, tri.faces))
+    assert (len(whole.vertices), len(whole.faces)) == (42, 80)
+
+
+def test_close_vertices_of_a_closed_surface_are_not_merged():
+    """Two spheres 1e-9 apart are two."""
+    near = mesh(SPHERE.vertices * [1, 1, 1] + [2 + 1e-9, 0, 0], SPHERE.faces)
+    whole, _ = repaired(joined(SPHERE, turned(near)))
+    assert len(whole.vertices) == 84
+
+
+def test_degenerate_triangles_go_and_the_shape_stays():
+    whole, said = repaired(longitudes())
+    assert [line.split()[0] for line in said] == ["merged", "dropped"]
+    assert whole.euler_number == 2
+    assert len(whole.vertices) == 7 * 16 + 2
+    whole, said = repaired(BROKEN["no area"][0])
+    assert said == ["flipped 1 edge of triangles without area"]
+    assert len(whole.faces) == 34
+    assert whole.volume == pytest.approx(ec.sphere("octahedron", 1).volume, rel=1e-14)
+
+
+def test_each_component_is_turned_for_itself_and_cavities_stay():
+    hollow = joined(SPHERE, turned(mesh(0.5 * SPHERE.vertices, SPHERE.faces)))
+    beside = mesh(0.7 * SPHERE.vertices + [3, 0, 0], SPHERE.faces)
+    right = joined(hollow, beside)
+    rng = np.random.default_rng(2)
+    faces = np.array(right.faces)
+    shuffled = rng.random(len(faces)) < 0.3  # fewer than half of each component
+    faces[shuffled] = faces[shuffled][:, ::-1]
+    whole, said = repaired(mesh(right.vertices, faces))
+    assert said == [f"turned {shuffled.sum()} triangles to agree with neighbours"]
+    np.testing.assert_array_equal(np.roll(whole.faces[shuffled], 0, axis=1), right.faces[shuffled])
+    assert whole.volume == pytest.approx(right.volume, rel=1e-14)
+    whole, said = repaired(turned(right))
+    assert said == ["turned 2 components outwards", "turned 1 cavity inwards"]
+    assert whole.volume == pytest.approx(right.volume, rel=1e-14)
+
+
+def test_small_holes_are_filled_and_large_ones_on_demand():
+    tri = ec.sphere("icosahedron", 2)
+    centre = np.bincount(tri.faces.ravel()).argmax()
+    tri.update_faces((tri.faces != centre).all(axis=1))
+    whole, said = repaired(tri)
+    assert said[-1] == "filled 1 hole of 6 edges with 4 triangles"
+    assert whole.volume == pytest.approx(tri.volume, rel=0.02)
+    with pytest.raises(ValueError, match=r"edge .* belongs to 1 triangle") as error:
+        ec.repair(tri, holes=5, report=None)
+    assert "tri = ec.repair(tri, holes=6)" in str(error.value)
+    lid, said = repaired(half(), holes=30)
+    assert "filled 1 hole" in said[0]
+    assert lid.euler_number == 2
+
+
+def test_holes_that_meet_in_a_vertex_are_filled_one_by_one():
+    tri = ec.sphere("octahedron", 2)
+    first, *others = np.flatnonzero((tri.faces == 0).any(axis=1))
+    [opposite] = [t for t in others if len(np.intersect1d(tri.faces[t], tri.faces[first])) == 1]
+    tri.update_faces(~np.isin(np.arange(len(tri.faces)), [first, opposite]))
+    whole, said = repaired(tri)
+    assert said == ["filled 2 holes of up to 3 edges with 2 triangles"]
+    assert whole.volume == pytest.approx(ec.sphere("octahedron", 2).volume, rel=1e-14)
+
+
+@pytest.mark.parametrize("make", [pinched, boxes_with_a_common_edge])
+def test_surfaces_that_touch_are_parted_and_stay_so(make):
+    tri = make()
+    whole, said = repaired(tri)
+    assert said[-1].startswith("split ")
+    assert whole.euler_number == 4
+    assert whole.volume == pytest.approx(tri.volume, rel=2e-3)
+    again = trimesh.Trimesh(
+        whole.triangles.reshape(-1, 3), np.arange(whole.faces.size).reshape(-1, 3)
+    )
+    assert again.euler_number == 4  # merged by trimesh, as when read from a file
+    ec.check_triangulation(again)
+    np.testing.assert_array_equal(repaired(whole)[0].vertices, whole.vertices)
+
+
+def test_boxes_with_a_common_wall_become_one_body():
+    box = trimesh.creation.box()
+    wall = joined(box, turned(mesh([1, 0, 0] + box.vertices * [-1, 1, 1], box.faces)))
+    wall.merge_vertices()
+    one, _ = repaired(wall)
+    assert one.euler_number == 2
+    assert one.volume == pytest.approx(2)
+
+
+def test_sheets_beside_a_body_are_dropped():
+    sheet = mesh([[5.0, 0, 0], [6, 0, 0], [5, 1, 0]], [[0, 1, 2]])
+    whole, said = repaired(joined(SPHERE, sheet))
+    assert said[-1] == "dropped 1 component without volume"
+    assert len(whole.faces) == 80
+
+
+def test_what_cannot_be_repaired_is_said():
+    with pytest.raises(ValueError, match="tri cannot be repaired: the surface is not orientable"):
+        ec.repair(klein_bottle(), report=None)
+    with pytest.raises(ValueError, match=r"tri cannot be repaired: .* encloses no volume"):
+        ec.repair(mesh([[5.0, 0, 0], [6, 0, 0], [5, 1, 0]], [[0, 1, 2]]), report=None)
+    with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh"):
+        ec.repair("bunny.ply")
+    with pytest.raises(ValueError, match="holes must be an integer >= 0"):
+        ec.repair(SPHERE, holes=-1)
