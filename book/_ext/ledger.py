@@ -3,7 +3,8 @@
 The rows stand in ``book/claims.yml`` and ``book/errata.yml``; the measurements come from what the
 notebooks show when they run; the verdicts are computed by `esfem_core.companion.claims`. A row
 without a measurement, a measurement without a row and an erratum that no check bears out are
-warnings, and so fail the build.
+warnings, and so fail the build. Of the stored runs that verdicts rest on, the ledger says how many
+the present code has made.
 """
 
 from __future__ import annotations
@@ -21,29 +22,30 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from esfem_core.companion import claims
+from esfem_core.companion import campaign
 from esfem_core.companion.claims import (
-    CORRECTED,
-    NOT_CONFIRMED,
+    CONFIRMED,
+    PROOF_ONLY,
+    SIGNS,
     Claim,
-    Measurement,
     anchor,
     read_html,
 )
+from esfem_core.companion.experiments import EXPERIMENTS
 
 LOG = logging.getLogger(__name__)
-PROOF_ONLY = "proof only"
-SIGNS = claims.SIGNS | {PROOF_ONLY: "∎"}
+FAILED = tuple(v for v in SIGNS if v not in (CONFIRMED, PROOF_ONLY))
+Row = dict[str, Any]
 PAPERS = ("[N]", "[LMV]")
 Measured = dict[str, list[tuple[str, Claim]]]  # by claim id: the page and what it measured
 
 
-def read_rows(root: Path) -> list[dict[str, str]]:
+def read_rows(root: Path) -> list[Row]:
     """Return the rows of the ledger."""
     return yaml.safe_load((root / "book/claims.yml").read_text("utf8"))
 
 
-def read_errata(root: Path) -> list[dict[str, str]]:
+def read_errata(root: Path) -> list[Row]:
     """Return the candidates of the errata page."""
     return yaml.safe_load((root / "book/errata.yml").read_text("utf8"))
 
@@ -64,7 +66,7 @@ def measurements(app: Sphinx) -> Measured:
     return found
 
 
-def problems(rows: list[dict[str, str]], found: Measured, documents: set[str]) -> Iterator[str]:
+def problems(rows: list[Row], found: Measured, documents: set[str]) -> Iterator[str]:
     """Yield where the ledger and what the notebooks measured do not fit together."""
     for row in rows:
         pages = [page for page, _ in found.get(row["id"], [])]
@@ -98,7 +100,7 @@ def cells(*contents: nodes.Node, **attributes: Any) -> nodes.row:
 
 
 class LedgerDirective(SphinxDirective):
-    """Common parts of the three directives."""
+    """Common parts of the directives."""
 
     def markdown(self, text: str) -> nodes.container:
         """Parse text of the source files."""
@@ -106,7 +108,7 @@ class LedgerDirective(SphinxDirective):
         self.state.nested_parse(StringList([text], source="book/claims.yml"), 0, node)
         return node
 
-    def rows(self) -> list[dict[str, str]]:
+    def rows(self) -> list[Row]:
         """Read the ledger, and note that this page depends on it."""
         root = Path(self.env.srcdir)
         self.env.note_dependency(str(root / "book/claims.yml"))
@@ -122,27 +124,61 @@ class LedgerSummary(LedgerDirective):
 
 
 class LedgerTable(LedgerDirective):
-    """List the claims of one paper with measurement and verdict."""
+    """List the claims of one paper, or those with some verdicts, with measurement and verdict."""
 
-    option_spec: ClassVar = {"source": directives.unchanged_required}
+    option_spec: ClassVar = {
+        "source": directives.unchanged_required,
+        "verdicts": directives.unchanged_required,
+    }
 
     def run(self) -> list[nodes.Node]:
         """Set what is known from the source; verdicts and measurements follow."""
+        chosen = self.options.get("verdicts")
         rows = [
-            cells(
-                nodes.container(
-                    "",
-                    nodes.paragraph("", "", nodes.literal("", row["id"])),
-                    nodes.paragraph("", row["where"]),
-                ),
-                self.markdown(row["claim"]),
-                LedgerPart(kind="check", claim=row["id"]),
-                ids=[f"claim-{anchor(row['id'])}"],
-            )
+            self.line(row, chosen)
             for row in self.rows()
-            if row["source"] == self.options["source"]
+            if self.options.get("source") in (None, row["source"])
         ]
-        return [table(["where", "claim, in our words", "check"], rows, "esfem-ledger")]
+        titles = ["where", "claim, in our words", "evidence, range", "check"]
+        return [table(titles, rows, "esfem-ledger")]
+
+    def line(self, row: Row, chosen: str | None) -> nodes.row:
+        """Return the line of a row; only that in the list of its paper can be linked to."""
+        name = row["id"]
+        place = nodes.paragraph("", f"{row['source']} " if chosen else "")
+        place += nodes.Text(row["where"])
+        cell = nodes.container("", nodes.paragraph("", "", nodes.literal("", name)), place)
+        scope = nodes.container("", nodes.paragraph("", row.get("evidence", "")))
+        if "range" in row:
+            scope += self.markdown(row["range"])
+        attributes = {"verdicts": chosen} if chosen else {"ids": [f"claim-{anchor(name)}"]}
+        check = LedgerPart(kind="check", claim=name)
+        return cells(cell, self.markdown(row["claim"]), scope, check, ledger=name, **attributes)
+
+
+class LedgerRuns(LedgerDirective):
+    """List the stored runs, how many of them the present code has made, and who rests on them."""
+
+    def run(self) -> list[nodes.Node]:
+        """Set the table."""
+        rows = self.rows()
+        lines = []
+        for experiment in EXPERIMENTS:
+            stored = campaign.read(campaign.DATA / f"{experiment.name}.jsonl")
+            current = sum(campaign.is_current(experiment, row) for row in stored)
+            dates = sorted(str(row.provenance["date"]) for row in stored)
+            resting = nodes.paragraph()
+            for row in rows:
+                if experiment.name in row.get("runs", []):
+                    if resting.children:
+                        resting += nodes.Text(", ")
+                    uri = f"#claim-{anchor(row['id'])}"
+                    resting += nodes.reference("", row["id"], internal=True, refuri=uri)
+            texts = [experiment.title, f"{current} of {len(stored)}", dates[-1] if dates else ""]
+            name = nodes.paragraph("", "", nodes.literal("", experiment.name))
+            lines.append(cells(name, *(nodes.paragraph("", text) for text in texts), resting))
+        titles = ["stored runs", "of", "by this code", "last", "verdicts that rest on them"]
+        return [table(titles, lines, "esfem-runs")]
 
 
 class ErrataTable(LedgerDirective):
@@ -170,7 +206,7 @@ class ErrataTable(LedgerDirective):
         return [table(["where", "printed", "should be", "check"], rows, "esfem-errata")]
 
 
-def verdict(row: dict[str, str], found: Measured) -> str | None:
+def verdict(row: Row, found: Measured) -> str | None:
     """Return the verdict on a row, or None if it was not measured."""
     if row["kind"] == PROOF_ONLY:
         return PROOF_ONLY
@@ -178,11 +214,11 @@ def verdict(row: dict[str, str], found: Measured) -> str | None:
     return checks[0][1].verdict if checks else None
 
 
-def check_cell(row: dict[str, str], found: Measured, page: str) -> nodes.container:
+def check_cell(row: Row, found: Measured, page: str) -> nodes.container:
     """Return the verdict on a row, the link to its check and what was measured there."""
     result = verdict(row, found)
     text = f"{SIGNS[result]} {result}" if result else "not measured"
-    kind = (result or NOT_CONFIRMED).replace(" ", "-")
+    kind = (result or "not measured").replace(" ", "-")
     badge = nodes.inline("", text, classes=["esfem-verdict", f"esfem-{kind}"])
     checks = found.get(row["id"])
     if not checks:
@@ -192,21 +228,21 @@ def check_cell(row: dict[str, str], found: Measured, page: str) -> nodes.contain
     claim = checks[0][1]
     uri = f"{page}#check-{anchor(row['id'])}"
     link = nodes.reference("", "the check", internal=True, refuri=uri)
-
-    def item(label: str, m: Measurement) -> nodes.list_item:
-        line = f"{'✓' if m.holds else '✗'} {label}{m.name}: {m.value:.4g} ({m.expected})"
-        return nodes.list_item("", nodes.paragraph("", line))
-
-    items = [item("as printed: " if claim.corrected else "", m) for m in claim.as_printed]
-    items += [item("corrected: ", m) for m in claim.corrected]
     cell = nodes.container("", nodes.paragraph("", "", badge, nodes.Text(" · "), link))
+    items = []
+    for form, m in claim.lines():
+        label = f"{form}: " if claim.corrected else ""
+        line = f"{'✓' if m.holds else '✗'} {label}{m.name}: {m.value:.4g} ({m.expected})"
+        items.append(nodes.list_item("", nodes.paragraph("", line)))
     cell += nodes.bullet_list("", *items)
     if claim.note:
         cell += nodes.paragraph("", claim.note)
+    if row.get("runs"):
+        cell += nodes.paragraph("", f"From stored runs: {', '.join(row['runs'])}.")
     return cell
 
 
-def summary(rows: dict[str, dict[str, str]], found: Measured) -> nodes.container:
+def summary(rows: dict[str, Row], found: Measured) -> nodes.container:
     """Return the counts by paper and verdict."""
     counts = Counter((row["source"], verdict(row, found)) for row in rows.values())
     lines = [
@@ -218,7 +254,7 @@ def summary(rows: dict[str, dict[str, str]], found: Measured) -> nodes.container
     return table(titles, lines, "esfem-summary")
 
 
-def state(app: Sphinx) -> tuple[dict[str, dict[str, str]], Measured]:
+def state(app: Sphinx) -> tuple[dict[str, Row], Measured]:
     """Return the rows by id, and what the notebooks of this build measured."""
     return {row["id"]: row for row in read_rows(Path(app.srcdir))}, measurements(app)
 
@@ -229,10 +265,14 @@ def fill(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     if not parts:
         return
     rows, found = state(app)
-    for line in [line for line in doctree.findall(nodes.row) if "erratum" in line]:
-        if verdict(rows[line["erratum"]], found) not in (CORRECTED, NOT_CONFIRMED):
+    for line in list(doctree.findall(nodes.row)):
+        if "erratum" in line and verdict(rows[line["erratum"]], found) not in FAILED:
             LOG.warning("book/errata.yml: the check of %s does not fail", line["erratum"])
             line.parent.remove(line)
+        chosen = line.get("verdicts")
+        if chosen and verdict(rows[line["ledger"]], found) not in chosen.split(", "):
+            line.parent.remove(line)
+    parts = list(doctree.findall(LedgerPart))
     for part in parts:
         if part["kind"] == "summary":
             part.replace_self(summary(rows, found))
@@ -254,6 +294,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_node(LedgerPart)
     app.add_directive("ledger-summary", LedgerSummary)
     app.add_directive("ledger-table", LedgerTable)
+    app.add_directive("ledger-runs", LedgerRuns)
     app.add_directive("errata-table", ErrataTable)
     app.connect("doctree-read", collect)
     app.connect("env-check-consistency", check)

@@ -4,30 +4,41 @@ An experiment is a function of its parameters and a list of chains of parameters
 chain run in their order, so that a chain can end early (when a smaller step changes nothing any
 more); different chains run side by side. Each finished case is appended to a file of JSON lines,
 with what is needed to judge and to repeat it; a second run goes on where the first one stopped.
+A row knows the code that made it: :func:`renew` computes again those that other code has made.
 :func:`stored` reads the rows that the book shows.
 """
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+    wait,
+)
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from esfem_core.checks import whole_number
-from esfem_core.companion.environment import environment
+from esfem_core.checks import number, whole_number
+from esfem_core.companion.environment import code_of, environment
 
 __all__ = [
     "DATA",
     "Experiment",
     "Row",
     "case",
+    "changes",
+    "is_current",
     "performance",
     "provenance",
     "read",
+    "renew",
     "run",
     "select",
     "stored",
@@ -75,7 +86,8 @@ class Row:
     ----------
     parameters, results : dict
     provenance : dict
-        "seconds", and what :func:`esfem_core.companion.environment.environment` says.
+        "seconds", and what :func:`esfem_core.companion.environment.environment` says of the
+        experiment's function.
     """
 
     parameters: Parameters
@@ -195,7 +207,7 @@ def provenance(rows: Sequence[Row]) -> str:
     seconds = sum(row.provenance["seconds"] for row in rows)
     versions: dict[str, set[str]] = {}
     for row in rows:
-        version, _, source = row.provenance["esfem_core"].partition(", source ")
+        version, source = _source(row)
         versions.setdefault(version, set()).add(source)
     code = (f"{name}, source {_enumerated(versions[name])}" for name in sorted(versions))
 
@@ -206,6 +218,12 @@ def provenance(rows: Sequence[Row]) -> str:
         f"{len(rows)} run{'s' * (len(rows) > 1)}, {_duration(seconds)} in all, "
         f"on {values('machine')},\n{values('date')}, esfem_core {'; '.join(code)}"
     )
+
+
+def _source(row: Row) -> tuple[str, str]:
+    """Version of the package that made a row, and hash of its code."""
+    version, _, source = row.provenance["esfem_core"].partition(", source ")
+    return version, source
 
 
 def _enumerated(names: Iterable[str]) -> str:
@@ -222,10 +240,18 @@ def _duration(seconds: float) -> str:
 
 def case(experiment: Experiment, parameters: Parameters) -> Row:
     """Compute one case here and now."""
-    where = environment()  # first: files may be edited in the meantime
+    where = environment(experiment.compute)  # first: files may be edited in the meantime
     start = time.perf_counter()
     results = experiment.compute(**parameters)
     return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **where})
+
+
+def is_current(experiment: Experiment, row: Row) -> bool:
+    """Whether a row was made by the code as it is now, as far as its experiment reaches it.
+
+    Docstrings, comments and parts of the package that the experiment does not use do not count.
+    """
+    return _source(row)[1] == code_of(experiment.compute)
 
 
 def run(
@@ -298,6 +324,115 @@ def _run(
                 go_on(chain)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def renew(
+    experiments: Sequence[Experiment], folder: str | Path, jobs: int | None = None
+) -> Iterator[tuple[Experiment, Row, Row | Exception]]:
+    """Compute again the rows that other code has made, each in its place.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    folder : path
+        With the files of results, ``<name>.jsonl``.
+    jobs : int, optional
+        Number of processes; one for each core if None.
+
+    Yields
+    ------
+    experiment : Experiment
+    old : Row
+    outcome : Row or exception
+        What takes the place of `old`, or why it stays.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If jobs is no positive integer; at once, not when the first outcome is asked for.
+    """
+    jobs = os.cpu_count() if jobs is None else whole_number("jobs", jobs, 1)
+    return _renew(experiments, Path(folder), jobs)
+
+
+def _renew(
+    experiments: Sequence[Experiment], folder: Path, jobs: int | None
+) -> Iterator[tuple[Experiment, Row, Row | Exception]]:
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+    try:
+        running = {
+            pool.submit(case, experiment, row.parameters): (experiment, row)
+            for experiment in experiments
+            for row in read(_path(folder, experiment))
+            if not is_current(experiment, row)
+        }
+        for future in as_completed(running):
+            experiment, old = running[future]
+            error = future.exception()
+            if isinstance(error, Exception):
+                yield experiment, old, error
+                continue
+            new = future.result()
+            _replace(_path(folder, experiment), old, new)
+            yield experiment, old, new
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _replace(path: Path, old: Row, new: Row) -> None:
+    """Put a row in the place of another; an interruption leaves the file as it was."""
+    rows = [new if row == old else row for row in read(path)]
+    other = path.with_suffix(".new")
+    other.write_text("".join(json.dumps(vars(row)) + "\n" for row in rows), "utf8")
+    other.replace(path)
+
+
+def changes(old: Any, new: Any, share: float = 0.01) -> list[tuple[str, Any, Any]]:
+    """Numbers of two results that differ by more than a share, and whatever else is not the same.
+
+    Parameters
+    ----------
+    old, new : JSON values
+        Numbers that differ by less than 1e-12 are the same, and so are two NaN.
+    share : float
+        Of the larger one.
+
+    Returns
+    -------
+    list of tuple
+        Where, the old value and the new one; None for what is not there.
+
+    Examples
+    --------
+    >>> changes({"x": 1.0, "u": [1.0, 2.0]}, {"x": 1.001, "u": [1.0, 2.1]})
+    [('u[1]', 2.0, 2.1)]
+    """
+    number("share", share, least=0)
+    before, after = (dict(_leaves("", value)) for value in (old, new))
+    return [
+        (where.lstrip("."), before.get(where), after.get(where))
+        for where in dict.fromkeys([*before, *after])
+        if not _alike(before.get(where), after.get(where), share)
+    ]
+
+
+def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The single values in a JSON value, each with its place."""
+    if isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from _leaves(f"{where}.{key}", entry)
+    elif isinstance(value, list):
+        for i, entry in enumerate(value):
+            yield from _leaves(f"{where}[{i}]", entry)
+    else:
+        yield where, value
+
+
+def _alike(a: Any, b: Any, share: float) -> bool:
+    if isinstance(a, float | int) and isinstance(b, float | int):
+        both_nan = math.isnan(a) and math.isnan(b)
+        return both_nan or math.isclose(a, b, rel_tol=share, abs_tol=1e-12)
+    return bool(a == b)
 
 
 class _Chain:

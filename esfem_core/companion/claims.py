@@ -1,8 +1,8 @@
 """Claims of a paper, the numbers that test them, and the verdict that follows.
 
 A notebook measures something, says what the paper lets one expect, and ends the cell with `claim`.
-The verdict is computed from the measurements here and nowhere else; the companion book's ledger
-recomputes it from the same numbers.
+A claim that fails as printed says how it fails; the measurements have to bear that out. The verdict
+is computed here and nowhere else; the companion book's ledger recomputes it from the same numbers.
 """
 
 from __future__ import annotations
@@ -10,33 +10,62 @@ from __future__ import annotations
 import html
 import json
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
 
-from esfem_core.checks import number
+from esfem_core.checks import number, one_of
 
 __all__ = [
     "CONFIRMED",
-    "CORRECTED",
-    "NOT_CONFIRMED",
+    "PROOF_ONLY",
     "SIGNS",
     "Claim",
+    "Kind",
     "Measurement",
+    "accepted",
     "anchor",
     "claim",
     "measure",
+    "measure_order",
     "read_html",
 ]
 
-CONFIRMED = "confirmed"
-CORRECTED = "confirmed with a correction"
-NOT_CONFIRMED = "not confirmed"
+Kind = Literal["contradicted", "not reproduced", "restricted", "misprint"]
+"""How a claim fails as printed.
 
+A "misprint" holds with the formula corrected. A "restricted" claim holds with a hypothesis, norm,
+constant or regime that the text lacks. A "contradicted" one has a counterexample. What is "not
+reproduced" was observed by the paper and is measured otherwise here.
+"""
+
+CONFIRMED = "confirmed"
+PROOF_ONLY = "proof only"
+
+SIGNS = {
+    "contradicted": "✗",
+    "not reproduced": "≠",
+    "restricted": "⊂",
+    "misprint": "≈",
+    CONFIRMED: "✓",
+    PROOF_ONLY: "∎",
+}
+"""The verdicts, worst news first, each with a sign, so that none depends on colour alone."""
+
+#: What the second group of measurements is called in a box.
+_SECOND = {
+    "contradicted": "instead",
+    "not reproduced": "here",
+    "restricted": "restricted",
+    "misprint": "corrected",
+}
 _ID = re.compile(r"[A-Z]+-[A-Z]?\d+(\.\d+)*(-[a-z][a-z0-9]*)+")
-#: A sign for each verdict, so that none depends on colour alone.
-SIGNS = {CONFIRMED: "✓", CORRECTED: "≈", NOT_CONFIRMED: "✗"}
+_ACCEPTED = Path(__file__).parent / "data" / "verdicts.json"
+STRICT = "ESFEM_STRICT"
 
 
 @dataclass(frozen=True)
@@ -85,34 +114,40 @@ class Claim:
     """A claim with the measurements that test it; made by `claim`.
 
     In a notebook it shows itself as a small box, whose HTML carries the data for `read_html`.
+
+    Attributes
+    ----------
+    id : str
+    as_printed, corrected : tuple of Measurement
+    kind : str or None
+        How it fails as printed.
+    note : str
     """
 
     id: str
     as_printed: tuple[Measurement, ...]
     corrected: tuple[Measurement, ...] = ()
+    kind: Kind | None = None
     note: str = ""
 
     @property
     def verdict(self) -> str:
-        """`CONFIRMED`, `CORRECTED` or `NOT_CONFIRMED`, computed from the measurements."""
-        if all(m.holds for m in self.as_printed):
-            return CONFIRMED
-        if self.corrected and all(m.holds for m in self.corrected):
-            return CORRECTED
-        return NOT_CONFIRMED
+        """`CONFIRMED` if all measurements of the printed form hold, else the kind of failure."""
+        return CONFIRMED if self.kind is None else self.kind
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurements, without a verdict, as plain JSON data.
+        """Return the measurements and the kind as plain JSON data.
 
         Values that JSON cannot hold (NaN, infinity) become strings.
 
         Examples
         --------
-        >>> c = claim("N-2.22-delta", measure("error", float("nan"), at_most=1e-15))
+        >>> nan = measure("error", float("nan"), at_most=1e-15)
+        >>> c = claim("N-2.11-accuracy", nan, kind="contradicted", note="no number")
         >>> c.to_dict()["as_printed"][0]["value"]
         'nan'
         >>> Claim.from_dict(c.to_dict()).verdict
-        'not confirmed'
+        'contradicted'
         """
         data = asdict(self)
         for m in (*data["as_printed"], *data["corrected"]):
@@ -124,32 +159,33 @@ class Claim:
     def from_dict(cls, data: Mapping[str, Any]) -> Claim:
         """Read back what `to_dict` wrote, with the same checks as `measure` and `claim`."""
         as_printed, corrected = (
-            [measure(**m) for m in data[group]] for group in ("as_printed", "corrected")
+            tuple(measure(**m) for m in data[group]) for group in ("as_printed", "corrected")
         )
-        return claim(data["id"], *as_printed, corrected=corrected, note=data["note"])
+        return _checked(cls(data["id"], as_printed, corrected, data["kind"], data["note"]))
 
-    def _lines(self) -> list[tuple[str, Measurement]]:
+    def lines(self) -> list[tuple[str, Measurement]]:
+        """All measurements, each with the form of the claim that it is about."""
         printed = [("as printed", m) for m in self.as_printed]
-        return printed + [("corrected", m) for m in self.corrected]
+        return printed + [(_SECOND[self.verdict], m) for m in self.corrected]
 
     def __repr__(self) -> str:
         lines = [f"{SIGNS[self.verdict]} {self.id}: {self.verdict}"]
         lines += [
             f"  {form}: {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
-            for form, m in self._lines()
+            for form, m in self.lines()
         ]
         return "\n".join([*lines, f"  {self.note}"] if self.note else lines)
 
     def _repr_html_(self) -> str:
-        kind = self.verdict.replace(" ", "-")
+        verdict = self.verdict.replace(" ", "-")
         rows = "".join(
             f"<tr><td>{html.escape(m.name)}</td><td>{form}</td><td>{m.value:.4g}</td>"
             f"<td>{html.escape(m.expected)}</td><td>{'✓ holds' if m.holds else '✗ fails'}</td></tr>"
-            for form, m in self._lines()
+            for form, m in self.lines()
         )
         note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
         return (
-            f'<div class="esfem-claim esfem-{kind}" id="check-{anchor(self.id)}" '
+            f'<div class="esfem-claim esfem-{verdict}" id="check-{anchor(self.id)}" '
             f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
             f'<p><span class="esfem-verdict">{SIGNS[self.verdict]} {self.verdict}</span> '
             f'claim <a href="ledger.html#claim-{anchor(self.id)}">{self.id}</a></p>'
@@ -223,54 +259,157 @@ def measure(
     return Measurement(name, float(value), low, high, target, distance)
 
 
+def measure_order(
+    name: str, observed: float, order: float, below: float = 0.25, above: float | None = None
+) -> Measurement:
+    """Put an observed order of convergence beside one that is claimed as observed: two bounds.
+
+    "The error falls like the square of h" says that it does not fall faster, either; "the error is
+    O(h^2)" does not, and is a case for `measure` with ``at_least``.
+
+    Parameters
+    ----------
+    name : str
+        What was measured.
+    observed, order : float
+        The measured order, and the claimed one.
+    below, above : float
+        How far it may stay below and go beyond; `above` is `below` if not given.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    TypeError, ValueError
+        As by `measure`, and if `below` or `above` is negative.
+
+    Examples
+    --------
+    >>> measure_order("order of u", 2.9, 3).holds, measure_order("order of u", 3.9, 3).holds
+    (True, False)
+    >>> measure_order("order of u", 3.4, 3, below=0.25, above=0.5).expected
+    '≥ 2.75 and ≤ 3.5'
+    """
+    below = number(f"below of {name!r}", below, least=0)
+    above = below if above is None else number(f"above of {name!r}", above, least=0)
+    target = number(f"order of {name!r}", order)
+    return measure(name, observed, at_least=target - below, at_most=target + above)
+
+
 def claim(
-    id: str, *as_printed: Measurement, corrected: Sequence[Measurement] = (), note: str = ""
+    id: str,
+    *as_printed: Measurement,
+    corrected: Sequence[Measurement] = (),
+    kind: Kind | None = None,
+    note: str = "",
 ) -> Claim:
     """State a claim of a paper together with the measurements that decide it.
 
     Parameters
     ----------
-    id
+    id : str
         Its row in the ledger, ``<paper>-<number>-<word>``, such as ``"N-2.22-delta"``.
-    *as_printed
+    *as_printed : Measurement
         Measurements of the statement exactly as printed; at least one.
-    corrected
-        Measurements of the corrected statement, where the printed one fails.
-    note
-        A sentence on how the two differ or on the range of what was measured.
+    corrected : sequence of Measurement
+        Where the printed statement fails: measurements of what holds in its place.
+    kind : {"contradicted", "not reproduced", "restricted", "misprint"}, optional
+        How the statement fails as printed. None claims that it holds.
+    note : str
+        A sentence on how the two differ, or on the range of what was measured.
 
     Returns
     -------
     Claim
-        Its verdict is "confirmed" if all of `as_printed` hold, "confirmed with a correction" if
-        they do not but all of `corrected` (at least one) do, and "not confirmed" otherwise.
+        Its verdict is "confirmed" if all of `as_printed` hold, and otherwise its kind.
 
     Raises
     ------
-    ValueError
-        If the id is malformed or there is no measurement.
+    AssertionError
+        If the measurements do not bear out the verdict: one of `as_printed` fails and there is no
+        `kind`; all of them hold and there is one; one of `corrected` fails. Or if the verdict is
+        not the one that `accepted` has, and the environment variable ESFEM_STRICT is set, as in the
+        tests. Elsewhere a line is printed.
+    TypeError, ValueError
+        If the id is malformed, a measurement is missing or none, the kind is unknown, a misprint or
+        a restricted claim has no `corrected`, or a claim of the other two kinds has neither
+        `corrected` nor a note.
 
     Examples
     --------
     >>> claim("N-2.22-delta", measure("largest difference", 1e-16, at_most=1e-15))
     ✓ N-2.22-delta: confirmed
       as printed: largest difference = 1e-16 (≤ 1e-15) ✓
-    >>> printed, corrected = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
-    >>> claim("N-2.18-order", printed, corrected=[corrected], note="other way round").verdict
-    'confirmed with a correction'
+    >>> printed, other = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
+    >>> claim("N-2.18-extrapolation", printed, corrected=[other], kind="misprint").verdict
+    'misprint'
+    >>> claim("N-2.18-extrapolation", printed)
+    Traceback (most recent call last):
+        ...
+    AssertionError: claim N-2.18-extrapolation fails as printed and does not say its kind: ...
     """
-    if not _ID.fullmatch(id):
+    found = _checked(Claim(id, as_printed, tuple(corrected), kind, note))
+    in_the_book = accepted().get(id)
+    if found.verdict != in_the_book:
+        text = f"claim {id}: {found.verdict} here, {in_the_book or 'unknown'} in the book"
+        if os.environ.get(STRICT):
+            raise AssertionError(f"{text}\n{found!r}")
+        print(text)
+    return found
+
+
+def _checked(found: Claim) -> Claim:
+    """The claim, if it is well formed and its measurements bear out its verdict."""
+    name = found.id
+    if not _ID.fullmatch(name):
         raise ValueError(
-            f"{id!r} is not a claim id: write <paper>-<number>-<word>, such as 'N-2.22-delta'"
+            f"{name!r} is not a claim id: write <paper>-<number>-<word>, such as 'N-2.22-delta'"
         )
-    if not as_printed:
+    if not found.as_printed:
         raise ValueError(
-            f"claim {id}: at least one measurement of the statement as printed is needed"
+            f"claim {name}: at least one measurement of the statement as printed is needed"
         )
-    for m in (*as_printed, *corrected):
+    for m in (*found.as_printed, *found.corrected):
         if not isinstance(m, Measurement):
-            raise ValueError(f"claim {id}: expected measure(...), got {m!r}")
-    return Claim(id, as_printed, tuple(corrected), note)
+            raise ValueError(f"claim {name}: expected measure(...), got {m!r}")
+    if found.kind is not None:
+        one_of(f"kind of claim {name}", found.kind, Kind)
+        if not found.corrected and found.kind in ("misprint", "restricted"):
+            raise ValueError(f"claim {name}: measure what holds instead: corrected=[...]")
+        if not found.corrected and not found.note:
+            raise ValueError(f"claim {name}: say what holds instead, in corrected=[...] or a note")
+    holds = all(m.holds for m in found.as_printed)
+    fault = ""
+    if not holds and found.kind is None:
+        fault = "fails as printed and does not say its kind"
+    elif holds and (found.kind or found.corrected):
+        fault = "holds as printed, and has nothing to correct"
+    elif not all(m.holds for m in found.corrected):
+        fault = "fails in its corrected form"
+    if fault:
+        lines = (
+            f"  {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
+            for m in (*found.as_printed, *found.corrected)
+        )
+        raise AssertionError("\n".join([f"claim {name} {fault}:", *lines]))
+    return found
+
+
+@cache
+def accepted() -> dict[str, str]:
+    """The verdict on each claim that the book has, by id, in the order of the ledger.
+
+    A verdict that changes is a finding or a fault, and should be looked at before it is accepted.
+
+    Examples
+    --------
+    >>> accepted()["N-2.22-delta"]
+    'confirmed'
+    """
+    found: dict[str, str] = json.loads(_ACCEPTED.read_text("utf8"))
+    return found
 
 
 def read_html(text: str) -> Iterator[Claim]:

@@ -4,15 +4,19 @@ import hashlib
 import os
 import platform
 import sys
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
 
-__all__ = ["environment", "source_hash"]
+from esfem_core.companion.dependencies import code_hash
+
+__all__ = ["code_of", "environment", "source_hash"]
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -53,22 +57,39 @@ def source_hash(package: str | Path = PACKAGE) -> str:
 
 
 @cache
-def _code() -> str:
-    """Version and source, once per process: what is loaded stays when a file is edited."""
-    return f"{version('esfem-core')}, source {source_hash()}"
+def _package() -> str:
+    """Hash of the package, once per process: what is loaded stays when a file is edited."""
+    return source_hash()
 
 
-def environment() -> dict[str, str]:
+def code_of(function: Callable[..., Any]) -> str:
+    """Hash of the code that decides what a function returns: "this code" of a stored result.
+
+    For a function of this package it is the code that the function reaches, see
+    :mod:`esfem_core.companion.dependencies`; for any other one, the whole package.
+    """
+    inside = function.__module__.partition(".")[0] == PACKAGE.name
+    return code_hash(function) if inside else _package()
+
+
+def environment(function: Callable[..., Any] | None = None) -> dict[str, str]:
     """Date (UTC), code, libraries and machine.
+
+    Parameters
+    ----------
+    function : callable, optional
+        What computed the result; "esfem_core" has the hash of its code, or of the whole package if
+        None.
 
     Examples
     --------
     >>> list(environment())
     ['date', 'esfem_core', 'python', 'numpy', 'scipy', 'machine']
     """
+    code = _package() if function is None else code_of(function)
     return {
         "date": datetime.now(UTC).date().isoformat(),
-        "esfem_core": _code(),
+        "esfem_core": f"{version('esfem-core')}, source {code}",
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,

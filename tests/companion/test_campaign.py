@@ -6,6 +6,7 @@ import pytest
 
 from esfem_core.companion import campaign
 from esfem_core.companion.campaign import Experiment
+from esfem_core.companion.environment import code_of
 
 
 def compute(order, step):
@@ -65,9 +66,76 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
     ]
 
 
+def stored(path, steps, source):
+    """Rows of the first chain, with a wrong result, as some code has left them."""
+    where = {"seconds": 1.0, "date": "2026-01-31", "machine": "Abacus"}
+    where["esfem_core"] = f"0.1.0, source {source}"
+    rows = [campaign.Row({"order": 1, "step": step}, {"error": 7.0}, where) for step in steps]
+    with path.open("a") as file:
+        file.writelines(json.dumps(vars(row)) + "\n" for row in rows)
+    return rows
+
+
+def test_only_what_other_code_has_made_is_computed_again_and_in_its_place(tmp_path):
+    experiment, path = Experiment("demo", "", compute, chains()), tmp_path / "demo.jsonl"
+    here = code_of(compute)
+    first = stored(path, [1, 0.5], "older")
+    second = stored(path, [0.25], here)
+    assert [campaign.is_current(experiment, row) for row in first + second] == [False, False, True]
+    outcomes = list(campaign.renew([experiment], tmp_path, jobs=1))
+    assert [old for _, old, _ in outcomes] == first
+    rows = campaign.read(path)
+    assert [row.parameters["step"] for row in rows] == [1, 0.5, 0.25]
+    assert [row.results["error"] for row in rows] == [1.1, 0.6, 7.0]
+    assert all(campaign.is_current(experiment, row) for row in rows)
+    assert list(campaign.renew([experiment], tmp_path, jobs=1)) == []
+
+
+def test_a_row_that_cannot_be_renewed_stays(tmp_path):
+    experiment, path = Experiment("demo", "", compute, chains()), tmp_path / "demo.jsonl"
+    row = campaign.Row(
+        {"order": 2, "step": 0.125}, {"error": 7.0}, {"esfem_core": "0.1.0, source older"}
+    )
+    path.write_text(json.dumps(vars(row)) + "\n")
+    [(_, old, outcome)] = campaign.renew([experiment], tmp_path, jobs=1)
+    assert (old, str(outcome)) == (row, "no convergence")
+    assert campaign.read(path) == [row]
+
+
+def test_a_renewal_that_stops_between_two_rows_goes_on(tmp_path):
+    experiment, path = Experiment("demo", "", compute, chains()), tmp_path / "demo.jsonl"
+    stored(path, [1, 0.5, 0.25], "older")
+    for _ in campaign.renew([experiment], tmp_path, jobs=1):
+        break
+    left = [campaign.is_current(experiment, row) for row in campaign.read(path)].count(False)
+    assert left == 2
+    assert len(list(campaign.renew([experiment], tmp_path, jobs=1))) == left
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ({"x": 1.0}, {"x": 1.0099}, []),
+        ({"x": 1.0}, {"x": 1.02}, [("x", 1.0, 1.02)]),
+        ({"x": 1e-15}, {"x": -1e-13}, []),
+        ({"x": [1.0, [2, 3]]}, {"x": [1.0, [2, 4]]}, [("x[1][1]", 3, 4)]),
+        ({"x": {"l2": 1.0}}, {"x": {"l2": 2.0}}, [("x.l2", 1.0, 2.0)]),
+        ({"x": float("nan")}, {"x": float("nan")}, []),
+        ({"x": None}, {"x": 1.0}, [("x", None, 1.0)]),
+        ({"x": "a"}, {"x": "b"}, [("x", "a", "b")]),
+        ({"x": [1.0]}, {"x": [1.0, 2.0]}, [("x[1]", None, 2.0)]),
+        ({"x": 1.0}, {"y": 1.0}, [("x", 1.0, None), ("y", None, 1.0)]),
+    ],
+)
+def test_changes_are_numbers_that_differ_by_more_than_a_percent(old, new, found):
+    assert campaign.changes(old, new) == found
+
+
 def test_jobs_and_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ValueError, match="jobs must be an integer >= 1, got 0"):
         campaign.run([], tmp_path, jobs=0)
+    with pytest.raises(ValueError, match="jobs must be an integer >= 1, got 0"):
+        campaign.renew([], tmp_path, jobs=0)
     path = tmp_path / "demo.jsonl"
     path.write_text("no json\n{}\n")
     with pytest.raises(ValueError, match=r"demo\.jsonl is not a file of results"):

@@ -3,23 +3,35 @@
 import json
 import math
 from fractions import Fraction
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from esfem_core.companion import claims
 from esfem_core.companion.claims import (
     CONFIRMED,
-    CORRECTED,
-    NOT_CONFIRMED,
+    PROOF_ONLY,
+    SIGNS,
     Claim,
+    Kind,
     claim,
     measure,
+    measure_order,
     read_html,
 )
 
 GOOD = measure("good", 1.0, at_most=2.0)
 BAD = measure("bad", 3.0, at_most=2.0)
 NAN = measure("nan", math.nan, at_most=2.0)
+ID = "N-2.22-delta"
+
+
+@pytest.fixture(autouse=True)
+def _no_book(monkeypatch):
+    """Take the book's own verdicts away: the claims here are none of its claims."""
+    monkeypatch.setattr(claims, "accepted", dict)
+    monkeypatch.delenv(claims.STRICT, raising=False)
 
 
 @pytest.mark.parametrize(
@@ -75,21 +87,102 @@ def test_bounds_are_real_numbers():
     assert measure("order", 1.0, equals=Fraction(3, 2), tol=np.float32(0.5)).holds
 
 
+def test_an_order_claimed_as_observed_is_bounded_from_both_sides():
+    orders = {2.7: False, 2.75: True, 3.0: True, 3.25: True, 3.3: False, math.nan: False}
+    assert {o: measure_order("x", o, 3).holds for o in orders if o == o} == {
+        o: holds for o, holds in orders.items() if o == o
+    }
+    assert not measure_order("x", math.nan, 3).holds
+    uneven = measure_order("x", 3.4, 3, below=0.1, above=0.5)
+    assert (uneven.at_least, uneven.at_most) == (2.9, 3.5)
+    with pytest.raises(ValueError, match="below of 'x' must be a finite number >= 0, got -1"):
+        measure_order("x", 3.0, 3, below=-1)
+
+
 @pytest.mark.parametrize(
-    ("as_printed", "corrected", "verdict"),
+    ("as_printed", "corrected", "kind", "verdict"),
     [
-        ([GOOD], [], CONFIRMED),
-        ([GOOD, GOOD], [BAD], CONFIRMED),
-        ([GOOD, BAD], [], NOT_CONFIRMED),
-        ([BAD], [GOOD], CORRECTED),
-        ([GOOD, NAN], [GOOD], CORRECTED),
-        ([BAD], [GOOD, BAD], NOT_CONFIRMED),
-        ([BAD], [NAN], NOT_CONFIRMED),
-        ([NAN], [], NOT_CONFIRMED),
+        ([GOOD], [], None, CONFIRMED),
+        ([GOOD, GOOD], [], None, CONFIRMED),
+        ([BAD], [GOOD], "misprint", "misprint"),
+        ([GOOD, NAN], [GOOD, GOOD], "restricted", "restricted"),
+        ([BAD], [], "contradicted", "contradicted"),
+        ([BAD], [GOOD], "contradicted", "contradicted"),
+        ([NAN], [], "not reproduced", "not reproduced"),
     ],
 )
-def test_verdict(as_printed, corrected, verdict):
-    assert claim("N-2.22-delta", *as_printed, corrected=corrected).verdict == verdict
+def test_the_verdict_is_confirmed_or_the_kind_of_a_failure(as_printed, corrected, kind, verdict):
+    found = claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
+    assert found.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("as_printed", "corrected", "kind", "message"),
+    [
+        ([BAD], [], None, "fails as printed and does not say its kind"),
+        ([GOOD, NAN], [], None, "fails as printed and does not say its kind"),
+        ([BAD], [GOOD], None, "fails as printed and does not say its kind"),
+        ([GOOD], [], "contradicted", "holds as printed, and has nothing to correct"),
+        ([GOOD], [GOOD], "misprint", "holds as printed, and has nothing to correct"),
+        ([GOOD], [GOOD], None, "holds as printed, and has nothing to correct"),
+        ([BAD], [GOOD, BAD], "misprint", "fails in its corrected form"),
+        ([BAD], [NAN], "restricted", "fails in its corrected form"),
+        ([BAD], [BAD], "not reproduced", "fails in its corrected form"),
+    ],
+)
+def test_measurements_that_do_not_bear_out_the_verdict_end_the_cell(
+    as_printed, corrected, kind, message
+):
+    with pytest.raises(AssertionError, match=f"claim {ID} {message}"):
+        claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
+
+
+def test_what_fails_is_told_with_its_numbers():
+    with pytest.raises(AssertionError) as error:
+        claim(ID, GOOD, BAD)
+    assert str(error.value).splitlines()[1:] == ["  good = 1 (≤ 2) ✓", "  bad = 3 (≤ 2) ✗"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"kind": "misprint", "note": "why"}, "measure what holds instead"),
+        ({"kind": "restricted", "note": "why"}, "measure what holds instead"),
+        ({"kind": "contradicted"}, r"say what holds instead, in corrected=\[...\] or a note"),
+        ({"kind": "not reproduced"}, r"say what holds instead, in corrected=\[...\] or a note"),
+        (
+            {"kind": "not confirmed", "note": "why"},
+            f'kind of claim {ID} must be "contradicted", "not reproduced", "restricted" or '
+            "\"misprint\", got 'not confirmed'",
+        ),
+    ],
+)
+def test_a_failure_says_what_holds_instead(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        claim(ID, BAD, **arguments)
+
+
+def test_every_verdict_has_a_sign_of_its_own():
+    assert set(SIGNS) == {*get_args(Kind), CONFIRMED, PROOF_ONLY}
+    assert len(set(SIGNS.values())) == len(SIGNS)
+
+
+def test_a_verdict_that_is_not_the_accepted_one_is_told_and_ends_a_strict_run(monkeypatch, capsys):
+    monkeypatch.setattr(claims, "accepted", lambda: {ID: "misprint", "N-2.1-other": CONFIRMED})
+    claim(ID, BAD, corrected=[GOOD], kind="misprint")
+    assert capsys.readouterr().out == ""
+    claim(ID, GOOD)
+    claim("N-2.1-new", GOOD)
+    assert capsys.readouterr().out.splitlines() == [
+        f"claim {ID}: confirmed here, misprint in the book",
+        "claim N-2.1-new: confirmed here, unknown in the book",
+    ]
+    monkeypatch.setenv(claims.STRICT, "1")
+    claim(ID, BAD, corrected=[GOOD], kind="misprint")
+    with pytest.raises(AssertionError, match=f"claim {ID}: confirmed here, misprint in the book"):
+        claim(ID, GOOD)
+    with pytest.raises(AssertionError, match="confirmed here, unknown in the book"):
+        claim("N-2.1-new", GOOD)
 
 
 @pytest.mark.parametrize(
@@ -126,18 +219,22 @@ def test_a_claim_without_measurements_is_refused():
 
 def test_what_a_notebook_shows_can_be_read_back():
     inf = measure('"inf" & <co>', math.inf, at_most=1)
-    c = claim("N-2.22-delta", GOOD, inf, corrected=[GOOD], note="why <b>'so'</b>")
-    d = claim("N-2.1-x", NAN)
+    c = claim(ID, GOOD, inf, corrected=[GOOD], kind="restricted", note="why <b>'so'</b>")
+    d = claim("N-2.1-x", NAN, kind="not reproduced", note="no number")
     first, second = read_html(c._repr_html_() + "<p>data-claim</p>" + d._repr_html_())
     assert first == c
-    assert second.verdict == NOT_CONFIRMED
-    assert "confirmed with a correction" in repr(c)
+    assert second.verdict == "not reproduced"
+    assert f"⊂ {ID}: restricted" in repr(c)
+    assert "  restricted: good = 1 (≤ 2) ✓" in repr(c)
+    assert 'class="esfem-claim esfem-not-reproduced"' in d._repr_html_()
     assert "&lt;b&gt;" in c._repr_html_()
     assert 'id="check-N-2_22-delta"' in c._repr_html_()
     assert 'href="ledger.html#claim-N-2_22-delta"' in c._repr_html_()
 
 
-def test_the_data_hold_no_verdict_and_are_strict_json():
-    data = json.dumps(claim("N-2.22-delta", NAN).to_dict(), allow_nan=False)
-    assert "confirmed" not in data
-    assert Claim.from_dict(json.loads(data)).verdict == NOT_CONFIRMED
+def test_the_data_are_strict_json_and_are_checked_when_read():
+    found = claim(ID, NAN, kind="contradicted", note="no number")
+    data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert Claim.from_dict(data).verdict == "contradicted"
+    with pytest.raises(AssertionError, match="does not say its kind"):
+        Claim.from_dict(data | {"kind": None})

@@ -71,6 +71,22 @@ def test_the_help_names_every_experiment_and_the_folder_where_the_book_reads(cap
     assert re.sub(r"\s", "", str(campaign.DATA)) in re.sub(r"\s", "", text)
 
 
+def test_stale_cases_are_counted_renewed_and_their_changes_listed(tmp_path, capsys):
+    row = STORED["nick_theorem"][0]
+    wrong = campaign.Row(row.parameters, row.results | {"x": 1.0}, row.provenance)
+    path = tmp_path / "nick_theorem.jsonl"
+    path.write_text(json.dumps(vars(wrong)) + "\n")
+    arguments = ["nick_theorem", "--stale", "--jobs", "1", "--folder", str(tmp_path)]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"nick_theorem \{.*\}: x was 1.0, is 0\.\d+", out)
+    [renewed] = campaign.read(path)
+    assert campaign.is_current(BY_NAME["nick_theorem"], renewed)
+    assert renewed.results["x"] == pytest.approx(row.results["x"], rel=1e-5)
+    assert main(arguments) == 0
+    assert "was" not in capsys.readouterr().out
+
+
 def test_an_experiment_named_twice_runs_once(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(campaign, "run", lambda names, *_: asked.extend(names) or iter(()))

@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from esfem_core.companion.claims import accepted
+from esfem_core.companion.experiments import EXPERIMENTS
+
 ROOT = Path(__file__).parents[2]
 ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
 ERRATA = yaml.safe_load((ROOT / "book/errata.yml").read_text("utf8"))
@@ -45,12 +48,28 @@ def test_rows_are_complete():
     for row in ROWS:
         fields = {"id", "source", "where", "claim", "chapter", "kind"}
         assert row["kind"] in ("check", "proof only"), row["id"]
-        if row["kind"] == "proof only":
-            fields.add("reason")
-        assert set(row) == fields, row["id"]
-        assert all(isinstance(text, str) and text.strip() for text in row.values()), row["id"]
+        fields |= {"reason"} if row["kind"] == "proof only" else {"evidence", "range"}
+        assert set(row) - {"runs"} == fields, row["id"]
+        assert all(isinstance(row[key], str) and row[key].strip() for key in fields), row["id"]
+        assert row.get("evidence") in (None, "exact", "order", "bound", "count", "time"), row["id"]
         assert row["source"] in PAPERS, row["id"]
         assert row["id"].startswith(row["source"].strip("[]") + "-"), row["id"]
+
+
+def test_rows_name_the_stored_runs_that_they_rest_on():
+    names = [experiment.name for experiment in EXPERIMENTS]
+    for row in ROWS:
+        for name in row.get("runs", []):
+            assert name in names, row["id"]
+            sources = (ROOT / f"{row['chapter']}.ipynb").read_text("utf8").replace("\\", "")
+            by_number = re.sub(r"\d$", "{number}", name)  # asked for by the number of a figure
+            assert f'"{name}"' in sources or f'"{by_number}"' in sources, row["id"]
+
+
+def test_the_book_has_a_verdict_on_every_row_and_on_no_other():
+    assert list(accepted()) == [row["id"] for row in ROWS]
+    for row in ROWS:
+        assert (accepted()[row["id"]] == "proof only") == (row["kind"] == "proof only"), row["id"]
 
 
 def test_ids_are_unique():
@@ -89,3 +108,9 @@ def test_errata_refer_to_checks():
     for entry in ERRATA:
         assert set(entry) == {"where", "printed", "corrected", "claim"}, entry
         assert entry["claim"] in checks, entry
+        assert accepted()[entry["claim"]] != "confirmed", entry
+
+
+def test_every_misprint_is_among_the_errata():
+    misprints = {name for name, verdict in accepted().items() if verdict == "misprint"}
+    assert misprints <= {entry["claim"] for entry in ERRATA}

@@ -1,6 +1,7 @@
 """Compute the stored results of the book: interrupt at will, start again to go on."""
 
 import argparse
+import json
 import os
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -18,6 +19,11 @@ def main(arguments: list[str] | None = None) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _options(arguments)
+    return _renew(options) if options.stale else _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Compute what is missing; 1 if a case failed."""
     total = sum(len(chain) for experiment in options.experiments for chain in experiment.chains)
     failures = 0
     with tqdm(total=total, unit="case") as bar:
@@ -29,11 +35,40 @@ def main(arguments: list[str] | None = None) -> int:
                 bar.write(f"{experiment.name}: {type(outcome).__name__}: {outcome}")
             bar.set_description(experiment.name)
             bar.update(cases)
+    if stale := _count_stale(options):
+        print(f"{stale} stored cases were computed by other code: --stale computes them again")
     return min(failures, 1)
 
 
+def _renew(options: argparse.Namespace) -> int:
+    """Compute again what other code has computed, and list what came out differently."""
+    failures = 0
+    with tqdm(total=_count_stale(options), unit="case") as bar:
+        for experiment, old, outcome in campaign.renew(
+            options.experiments, options.folder, options.jobs
+        ):
+            name = f"{experiment.name} {json.dumps(old.parameters)}"
+            if isinstance(outcome, Exception):
+                failures += 1
+                bar.write(f"{name}: {type(outcome).__name__}: {outcome}")
+            else:
+                for where, before, after in campaign.changes(old.results, outcome.results):
+                    bar.write(f"{name}: {where} was {before}, is {after}")
+            bar.set_description(experiment.name)
+            bar.update()
+    return min(failures, 1)
+
+
+def _count_stale(options: argparse.Namespace) -> int:
+    return sum(
+        not campaign.is_current(experiment, row)
+        for experiment in options.experiments
+        for row in campaign.read(options.folder / f"{experiment.name}.jsonl")
+    )
+
+
 def _options(arguments: list[str] | None) -> argparse.Namespace:
-    """What the command line asks for: experiments, folder, jobs."""
+    """What the command line asks for: experiments, folder, jobs, which cases."""
     names = {experiment.name: experiment for experiment in EXPERIMENTS}
     listing = "\n".join(f"  {name:<28} {names[name].title}" for name in names)
     parser = argparse.ArgumentParser(
@@ -50,6 +85,12 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         help="where to keep the results (in the package, where the book reads them: %(default)s)",
     )
     parser.add_argument("--jobs", type=int, help="processes (one for each core)")
+    parser.add_argument(
+        "--stale",
+        action="store_true",
+        help="compute again the stored cases that other code has computed, and those only; numbers "
+        "that change by more than 1 %% are listed",
+    )
     options = parser.parse_args(arguments)
     if unknown := set(options.names) - set(names):
         parser.error(f"no such experiment: {', '.join(sorted(unknown))}")

@@ -1,0 +1,216 @@
+"""What the result of a function of this package depends on: the code that it reaches, as one hash.
+
+Stored results are as good as the code that made them. A hash of the whole package would call them
+out of date after every change of a docstring or of a picture; here a function's own code is
+followed, name by name, through the definitions of the package that it can reach. Docstrings,
+comments and layout do not count.
+"""
+
+import ast
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+__all__ = ["code_hash", "reached"]
+
+PACKAGE = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class _Module:
+    """A file: what each of its names is bound to.
+
+    Attributes
+    ----------
+    definitions : dict
+        Statements of the module that bind a name or change what it is bound to.
+    always : list
+        Statements without a name of their own.
+    imports : dict
+        For a name that is imported anywhere in the file: a module, and a name in it or None.
+    """
+
+    definitions: dict[str, list[ast.stmt]] = field(default_factory=dict)
+    always: list[ast.stmt] = field(default_factory=list)
+    imports: dict[str, tuple[str, str | None]] = field(default_factory=dict)
+
+
+def code_hash(function: Callable[..., Any]) -> str:
+    """Hash of the code that a function of this package reaches.
+
+    Parameters
+    ----------
+    function : callable
+        Defined at the top of a module of the package.
+
+    Returns
+    -------
+    str
+        Twelve hexadecimal digits, the same for all versions of Python.
+
+    Raises
+    ------
+    ValueError
+        If the function is not defined there.
+
+    Examples
+    --------
+    >>> from esfem_core.stepping import bdf
+    >>> len(code_hash(bdf.delta))
+    12
+    """
+    return _hash(function.__module__, function.__qualname__, PACKAGE)
+
+
+def reached(function: Callable[..., Any]) -> list[str]:
+    """Modules of the package that a function reaches, by name.
+
+    Examples
+    --------
+    >>> from esfem_core.stepping import bdf
+    >>> reached(bdf.delta)
+    ['esfem_core.checks', 'esfem_core.stepping.bdf']
+    """
+    found = _closure(function.__module__, function.__qualname__, PACKAGE)
+    return sorted({module for module, _ in found})
+
+
+@cache
+def _hash(module: str, name: str, package: Path) -> str:
+    total = hashlib.sha256()
+    for key, text in sorted(_closure(module, name, package).items()):
+        total.update(f"{key}\0{text}\0".encode())
+    return total.hexdigest()[:12]
+
+
+def _closure(module: str, name: str, package: Path) -> dict[tuple[str, str], str]:
+    """Code of all definitions that a name reaches, by module and name."""
+    start = _read(module, package)
+    if start is None or name not in start.definitions:
+        raise ValueError(f"{module}.{name} is not defined at the top of a module of {package.name}")
+    found: dict[tuple[str, str], str] = {}
+    waiting = [(module, name)]
+    while waiting:
+        key = waiting.pop()
+        if key not in found:
+            found[key], targets = _definition(*key, package)
+            waiting += targets
+    return found
+
+
+@cache
+def _definition(module: str, name: str, package: Path) -> tuple[str, set[tuple[str, str]]]:
+    """Code of a name, and what it reaches at once; "" stands for statements without a name."""
+    here = _read(module, package)
+    assert here is not None
+    statements = here.definitions.get(name, here.always)
+    targets = {(module, "")}
+    for statement in statements:
+        for chain in _chains(statement):
+            targets.update(_targets(module, chain, package))
+    return repr(_plain(statements)), targets
+
+
+def _targets(module: str, chain: list[str], package: Path) -> Iterator[tuple[str, str]]:
+    """Definitions of the package that a.b.c in a module stands for; none for other names."""
+    here = _read(module, package)
+    if here is None:
+        return
+    if not chain:  # the module itself, as an object
+        yield from ((module, name) for name in here.definitions)
+        return
+    name, rest = chain[0], chain[1:]
+    if name in here.definitions:
+        yield module, name
+    elif name in here.imports:
+        source, inner = here.imports[name]
+        if inner is None:
+            yield from _targets(source, rest, package)
+        elif _read(f"{source}.{inner}", package):
+            yield from _targets(f"{source}.{inner}", rest, package)
+        else:
+            yield from _targets(source, [inner, *rest], package)
+    else:
+        yield from _targets(f"{module}.{name}", rest, package)
+
+
+def _chains(statement: ast.stmt) -> Iterator[list[str]]:
+    """All a.b.c in a statement, as lists of names, and all names."""
+    inner: set[int] = set()
+    for node in ast.walk(statement):
+        if id(node) in inner:
+            continue
+        parts: list[str] = []
+        while isinstance(node, ast.Attribute):
+            inner.add(id(node))
+            parts.append(node.attr)
+            node = node.value
+        if isinstance(node, ast.Name):
+            inner.add(id(node))
+            yield [node.id, *reversed(parts)]
+
+
+@cache
+def _read(module: str, package: Path) -> _Module | None:
+    """A module of the package, or None if there is none of this name."""
+    head, *parts = module.split(".")
+    if head != package.name:
+        return None
+    path = package.joinpath(*parts)
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    if not file.is_file():
+        return None
+    tree = ast.parse(file.read_text("utf8"))
+    found = _Module()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                found.imports[alias.asname or alias.name] = node.module, alias.name
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                whole = alias.name if alias.asname else alias.name.partition(".")[0]
+                found.imports[alias.asname or whole] = whole, None
+    for statement in tree.body:
+        names = _bound(statement)
+        for name in names:
+            found.definitions.setdefault(name, []).append(statement)
+        if not names and not isinstance(statement, ast.Import | ast.ImportFrom):
+            found.always.append(statement)
+    found.definitions.pop("__all__", None)
+    return found
+
+
+def _bound(statement: ast.stmt) -> list[str]:
+    """Names that a statement of a module binds, or whose value it changes."""
+    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return [statement.name]
+    targets: list[ast.expr] = []
+    if isinstance(statement, ast.Assign):
+        targets = statement.targets
+    elif isinstance(statement, ast.AnnAssign | ast.AugAssign):
+        targets = [statement.target]
+    return [
+        node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)
+    ]
+
+
+def _plain(node: Any) -> Any:
+    """A piece of syntax as nested tuples, without places in the file and without docstrings."""
+    if isinstance(node, list):
+        return [_plain(entry) for entry in node if not _is_text(entry)]
+    if not isinstance(node, ast.AST):
+        return node
+    fields = ((name, value) for name, value in ast.iter_fields(node) if value not in (None, []))
+    return type(node).__name__, *((name, _plain(value)) for name, value in fields)
+
+
+def _is_text(node: Any) -> bool:
+    """Whether a statement is a string and nothing else, such as a docstring."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )

@@ -1,0 +1,139 @@
+"""A row depends on the code that its experiment reaches, and on no word beside it."""
+
+import shutil
+
+import pytest
+
+from esfem_core.companion import dependencies, environment
+from esfem_core.companion.experiments import EXPERIMENTS
+from esfem_core.companion.experiments.theorem import nodal_sides
+from esfem_core.stepping import bdf
+
+MODULES = {
+    "__init__": """
+from house.walls import Wall, colour
+""",
+    "walls": '''
+"""A docstring."""
+from house import doors
+from house.numbers import COUNT as HOW_MANY
+
+class Wall:
+    """A wall."""
+    def area(self):
+        # a comment
+        return doors.width() * HOW_MANY
+
+def colour():
+    return "white"
+''',
+    "numbers": """
+COUNT = 4
+COUNT += 1
+OTHER = 7
+""",
+    "doors": """
+import house as h
+TABLE = {"wide": h.colour}
+
+def width():
+    from house.numbers import OTHER
+    return OTHER
+
+def height():
+    return 2
+""",
+    "start": """
+import house as h
+
+def build():
+    return h.Wall()
+
+def paint():
+    return h.doors.TABLE
+""",
+}
+
+
+@pytest.fixture
+def house(tmp_path):
+    """A package of five modules; a function changes one of them and returns the new hash."""
+    package = tmp_path / "house"
+    package.mkdir()
+
+    def hash_with(name="walls", old="", new="", start="build"):
+        assert old in MODULES[name]
+        changed = {name: MODULES[name].replace(old, new)} if old else {}
+        for module, text in (MODULES | changed).items():
+            (package / f"{module}.py").write_text(text)
+        dependencies._read.cache_clear()
+        dependencies._definition.cache_clear()
+        dependencies._hash.cache_clear()
+        return dependencies._hash("house.start", start, package)
+
+    return hash_with
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("walls", "doors.width() * HOW_MANY", "HOW_MANY * doors.width()"),
+        ("numbers", "COUNT = 4", "COUNT = 3"),
+        ("numbers", "COUNT += 1", "COUNT += 2"),
+        ("numbers", "OTHER = 7", "OTHER = 8"),
+        ("doors", "return OTHER", "return -OTHER"),
+        ("walls", "class Wall:", "print(1)\nclass Wall:"),
+        ("start", "h.Wall()", "h.Wall(1)"),
+    ],
+)
+def test_code_that_is_reached_counts(house, name, old, new):
+    assert house(name, old, new) != house()
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("walls", '"""A wall."""', '"""Another wall."""'),
+        ("walls", '"""A docstring."""', ""),
+        ("walls", "# a comment", "# another"),
+        ("walls", "return doors.width() * HOW_MANY", "return (doors.width()\n  * HOW_MANY)"),
+        ("walls", "white", "black"),
+        ("doors", "return 2", "return 3"),
+        ("doors", "h.colour", "h.Wall"),
+    ],
+)
+def test_words_layout_and_code_that_is_not_reached_do_not(house, name, old, new):
+    assert house(name, old, new) == house()
+
+
+def test_another_function_reaches_other_code(house):
+    assert house("walls", "white", "black", start="paint") != house(start="paint")
+    assert house("doors", "return 2", "return 3", start="paint") == house(start="paint")
+
+
+def test_what_is_not_defined_in_the_package_is_refused():
+    for function in (shutil.copy, dependencies.code_hash.__class__):
+        with pytest.raises(ValueError, match="is not defined at the top of a module of esfem_core"):
+            dependencies.code_hash(function)
+
+
+def test_an_experiment_depends_on_solver_and_scheme_and_not_on_pictures_or_claims():
+    modules = dependencies.reached(nodal_sides)
+    assert {"esfem_core.stepping.scheme", "esfem_core.elements.integrals"} <= set(modules)
+    assert not any(".output" in name or ".claims" in name for name in modules)
+    assert "esfem_core.companion.campaign" not in modules
+    assert dependencies.reached(bdf.delta) == ["esfem_core.checks", "esfem_core.stepping.bdf"]
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
+def test_a_row_names_the_code_of_its_experiment(experiment):
+    source = environment.environment(experiment.compute)["esfem_core"].partition("source ")[2]
+    assert (
+        source
+        == dependencies.code_hash(experiment.compute)
+        == environment.code_of(experiment.compute)
+    )
+
+
+def test_other_functions_stand_for_the_whole_package():
+    assert environment.code_of(house) == environment.source_hash()
