@@ -4,10 +4,10 @@ import numpy as np
 
 import esfem_core as ec
 
-# v = -H nu is the regularised law with alpha = 0, Dziuk's scheme of 1990. The elements are linear:
-# with degree 2 and more it loses orders, except on spheres (see "Where this stands").
-space = ec.SurfaceSpace(ec.sphere("icosahedron", 4), degree=1)
-problem = ec.Problem(species={}, law=ec.laws.Regularised(alpha=0.0, beta=1.0))
+# v = -H nu, with the normal nu and the curvature H from equations of their own, which start from
+# the mesh. The elements are of degree 2, as the theory wants (see the chapter "Velocity laws").
+space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), degree=2, project=ec.to_unit_sphere)
+problem = ec.Problem(species={}, law=ec.laws.MeanCurvature(beta=1.0))
 
 # r^2 = 1 - 4 t: the sphere is a point at t = 1/4.
 for state in ec.evolve(space, problem, order=3, step=1 / 400, end=0.24):

@@ -12,7 +12,7 @@ With V = g - beta H and ``grad H = lap nu + |A|^2 nu`` they become parabolic::
 
 which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
 Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. Here v is
-the nodal product (g - beta H) nu of the evolved functions.
+the nodal product (g - beta H) nu of the evolved functions, and |A|^2 is |grad nu|^2/|nu|^2.
 """
 
 from collections.abc import Callable, Mapping
@@ -146,9 +146,13 @@ class MeanCurvature(Law):
 
 
 def _squared_weingarten(at: Surface) -> Array:
-    """|A|^2, the sum of the squares of the principal curvatures, (T, Q)."""
-    A = at.grad("normal")
-    square: Array = np.einsum("tqij,tqij->tq", A, A)
+    """|A|^2, the sum of the squares of the principal curvatures, (T, Q).
+
+    Divided by |nu|^2, which is 1 up to errors: with |grad nu|^2 alone, a normal of length 1 + eps
+    on a resting sphere grows like exp(4 beta t/r^2), with the quotient every length is at rest.
+    """
+    A, nu = at.grad("normal"), at["normal"]
+    square: Array = np.einsum("tqij,tqij->tq", A, A) / np.einsum("tqi,tqi->tq", nu, nu)
     return square
 
 

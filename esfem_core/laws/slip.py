@@ -10,7 +10,7 @@ which the scheme does for every species, and v is given w for the new positions:
 as phi = 1 shows.
 
 The built-in slips relax the elastic energy of the map X from the initial surface to the present
-one,
+one::
 
     E = 1/2 int |grad X|^2 + (a/2) int J^2/mean(J),      J the factor of areas,
 

@@ -233,7 +233,7 @@ class LevelSet(ExactSurface):
     """The surface {d = 0} of a function that need not be a distance.
 
     With g = grad d and P the projection to the tangent plane, the Weingarten map is
-    P (grad grad d) P/|g|.
+    ``P (grad grad d) P/|g|``.
 
     Parameters
     ----------
