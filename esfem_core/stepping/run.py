@@ -139,7 +139,7 @@ def evolve(
     EvolutionError
         If a run meets a value that is not finite or has grown beyond `growth`, if an element
         degenerates or turns over, or a component of the surface turns inside out. The states
-        yielded before are good.
+        yielded before are good. A surface that passes through itself is not noticed.
 
     Warns
     -----
@@ -300,34 +300,42 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
 
 
 def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
-    law = problem.law
+    law: object = problem.law
     if hasattr(law, "position"):
-        x: Array = law.position(space.nodes, 0.0, (0.0, space.nodes))
-        size = float(np.abs(space.nodes - space.nodes.mean(axis=0)).max())
-        distance = np.linalg.norm(x - space.nodes, axis=1)
-        worst = int(np.argmax(distance))
-        if not distance[worst] <= AT_START * size:
-            raise ValueError(
-                "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
-                f"{x[worst].tolist()} for the node p = {space.nodes[worst].tolist()}; a velocity "
-                "goes into laws.Prescribed(velocity=v)"
-            )
-    elif not (isinstance(law, Regularised) and law.alpha == 0 < law.beta):
-        return
-    elif order > 3:  # delta(z) + kappa (1 - z)^p has roots in the unit disk
-        warnings.warn(
+        _check_start_of_motion(space, law.position)
+    while hasattr(law, "law"):  # with a slip, or at constant volume
+        law = law.law
+    if isinstance(law, Regularised) and law.alpha == 0 < law.beta:
+        _warn_of_no_alpha(space, order)
+
+
+def _check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -> None:
+    x = position(space.nodes, 0.0, (0.0, space.nodes))
+    size = float(np.abs(space.nodes - space.nodes.mean(axis=0)).max())
+    distance = np.linalg.norm(x - space.nodes, axis=1)
+    worst = int(np.argmax(distance))
+    if not distance[worst] <= AT_START * size:
+        raise ValueError(
+            "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
+            f"{x[worst].tolist()} for the node p = {space.nodes[worst].tolist()}; a velocity "
+            "goes into laws.Prescribed(velocity=v)"
+        )
+
+
+def _warn_of_no_alpha(space: SurfaceSpace, order: int) -> None:
+    if order > 3:  # delta(z) + kappa (1 - z)^p has roots in the unit disk
+        text = (
             f"alpha = 0 with beta > 0 is unstable for p = {order}: nodes move along the surface "
-            "until elements turn over; take p <= 3 or alpha > 0",
-            EvolutionWarning,
-            stacklevel=3,
+            "until elements turn over; take p <= 3 or alpha > 0"
         )
     elif space.degree > 1:
-        warnings.warn(
+        text = (
             "alpha = 0 with beta > 0 (mean curvature flow by Dziuk's scheme) is outside the "
-            f"theory: elements of degree {space.degree} lose two orders except on spheres",
-            EvolutionWarning,
-            stacklevel=3,
+            f"theory: elements of degree {space.degree} lose two orders except on spheres"
         )
+    else:
+        return
+    warnings.warn(text, EvolutionWarning, stacklevel=4)
 
 
 def _solver_factory(

@@ -436,3 +436,23 @@ def test_a_solver_that_is_not_installed_is_missed_at_the_call(monkeypatch):
     monkeypatch.setitem(sys.modules, "cholespy", None)
     with pytest.raises(ImportError, match='needs the package cholespy: the extra "fast"'):
         ec.evolve(space, ec.problems.growing_sphere(), 1, 0.1, 0.1, solver="cholmod")
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        lambda law: law,
+        ec.laws.VolumePreserving,
+        lambda law: ec.laws.with_slip(law, lambda at: 0 * at.x),
+    ],
+    ids=["alone", "at constant volume", "with slip"],
+)
+def test_alpha_zero_is_warned_of_at_the_call_and_inside_other_laws(wrapped):
+    problem = ec.Problem(law=wrapped(ec.laws.Regularised(alpha=0.0, beta=1.0)))
+    linear = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    with pytest.warns(ec.EvolutionWarning, match="elements of degree 2 lose two orders") as caught:
+        ec.evolve(SPACE, problem, 2, 0.01, 0.1)
+    assert caught[0].filename == __file__
+    with pytest.warns(ec.EvolutionWarning, match="unstable for p = 4.*take p <= 3 or alpha > 0"):
+        ec.evolve(linear, problem, 4, 0.01, 0.1)
+    ec.evolve(linear, problem, 3, 0.01, 0.1)
