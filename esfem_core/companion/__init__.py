@@ -1,8 +1,10 @@
 """The book's own machinery: claims and verdicts, long runs and their stored results."""
 
 from esfem_core.companion import campaign, claims, environment, experiments, revolution
+from esfem_core.companion.scans import bunny
 
 __all__ = [
+    "bunny",
     "campaign",
     "claims",
     "environment",
