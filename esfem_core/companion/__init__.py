@@ -8,8 +8,10 @@ from esfem_core.companion import (
     experiments,
     revolution,
 )
+from esfem_core.companion.scans import bunny
 
 __all__ = [
+    "bunny",
     "campaign",
     "claims",
     "dependencies",
