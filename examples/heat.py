@@ -2,15 +2,13 @@
 
 from pathlib import Path
 
-import trimesh
-
 import esfem_core as ec
 
-# Any file of flat triangles that trimesh reads will do: PLY, OBJ, STL, OFF, ...
+# Any file of triangles will do: PLY, OBJ, STL, OFF, glTF; Gmsh, VTK and more with meshio.
 path = Path("shape.ply")
 if not path.exists():
     ec.torus(1.0, 0.4, 48, 20).export(path)
-tri = trimesh.load_mesh(path, process=False)
+tri = ec.read_mesh(path)  # says what it found, and whether tri = ec.repair(tri) is needed
 space = ec.SurfaceSpace(tri, degree=1)
 print(space)
 

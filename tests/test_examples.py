@@ -17,6 +17,13 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # What stands before a number in the output, the number, and a tolerance. Exact facts first; the
 # others are what the scripts gave.
 NUMBERS = {
+    "adaptive": [
+        ("amount changes by ", 0, 1e-13),
+        ("^", 45, 2),  # steps
+        ("longest ", 0.211, 2e-2),
+        ("error with chosen steps: ", 0.0032, 5e-4),
+        ("error with equal steps: ", 0.176, 2e-2),
+    ],
     "convergence": [("order in time: ", 2.0, 0.1), ("order in space, H1: ", 2.0, 0.1)],
     "growth": [
         ("t = 1.00: .* u ", 12.566295, 2e-6),  # the same as at the beginning

@@ -12,7 +12,8 @@ With V = g - beta H and ``grad H = lap nu + |A|^2 nu`` they become parabolic::
 
 which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
 Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. Here v is
-the nodal product (g - beta H) nu of the evolved functions, and |A|^2 is |grad nu|^2/|nu|^2.
+the nodal product (g - beta H) nu of the evolved functions, and ``|A|^2`` is
+``|grad nu|^2/|nu|^2``.
 """
 
 from collections.abc import Callable, Mapping

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import runpy
 import signal
 import subprocess
 import sys
@@ -449,32 +450,21 @@ def test_respaced_says_how_far_the_states_must_reach_back():
         ec.respaced([], 0.1)
 
 
-def adaptive(space, problem, p, step, end, tolerance):
-    """Steps halved and doubled by how well extrapolation foresees the positions."""
-    states = list(ec.evolve(space, problem, p, step, (p - 1) * step))
-    while end - states[-1].t > 1e-9 * step:
-        step = min(step, end - states[-1].t)
-        start = ec.respaced(states, step, order=p)
-        *_, new = ec.evolve(space, problem, p, step, start[-1].t + step, start=start)
-        foreseen = sum(c * state.x for c, state in zip(ec.bdf.gamma(p), start[::-1], strict=True))
-        error = abs(new.x - foreseen).max()
-        if error > tolerance:
-            step /= 2
-            continue
-        states.append(new)
-        if error < tolerance / 2 ** (p + 1) and new.t - states[0].t > 2 * (p - 1) * step:
-            step *= 2
-    return states
+@pytest.fixture(scope="module")
+def adaptive():
+    """The recipe, from the script that the book shows."""
+    return runpy.run_path(str(Path(__file__).parents[2] / "examples" / "adaptive.py"))["adaptive"]
 
 
-def test_ten_lines_choose_the_step():
+@pytest.mark.parametrize("p", [1, 2, 3, 4])
+def test_the_recipe_of_the_book_chooses_the_step(p, adaptive):
     """A motion that is fast around t = 1 and slow before and after."""
 
     def motion(q, t):
         return q * (2 + np.tanh(20 * (t - 1))) / (2 + np.tanh(-20))
 
     problem = ec.Problem(1.0, motion=motion)
-    states = adaptive(SPACE, problem, 2, 0.05, 2.0, 0.02)
+    states = adaptive(SPACE, problem, p, 0.05, 2.0, 0.02)
     times = np.array([state.t for state in states])
     steps = np.diff(times)
     assert times[-1] == 2.0
