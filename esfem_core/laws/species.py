@@ -120,6 +120,12 @@ class Species:
                         "diffusivity must hold a number >= 0 for each component, got "
                         f"{values.tolist()}"
                     )
+        for name in ("initial", "diffusivity"):  # whoever gave the array may go on to change it
+            value = getattr(self, name)
+            if isinstance(value, np.ndarray):
+                own = value.copy()
+                own.setflags(write=False)
+                object.__setattr__(self, name, own)
         if not isinstance(self.conserved, bool | np.bool_):
             raise TypeError(f"conserved must be True or False, got {shown(self.conserved)}")
 
@@ -176,6 +182,10 @@ class Species:
         if self.source is None:
             return None
         returned = self.source(at)
+        if returned is None:
+            raise TypeError(
+                f"the source of {name!r} returned None: is a return missing? Zero is 0.0"
+            )
         trailing = at.fields[name].shape[1:]
         called = f"the source{' f' if name == 'u' else ''} of {name!r}"
         flux = None

@@ -190,9 +190,10 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
         With alpha = 0, its exact solution ends at t = 1/(4 beta), and asking for a later time is a
         ValueError.
     """
+    u0 = number("u0", u0)
 
     def radius(t: float) -> float:
-        square = 1 - 4 * beta * t
+        square = 1 - 4 * beta * number("t", t)
         if alpha == 0:
             if square <= 0:
                 raise ValueError(f"the sphere vanishes at t = {1 / (4 * beta)}, asked for t = {t}")
@@ -236,8 +237,13 @@ def growing_sphere(
     def speed(r: float) -> float:
         return (delta * u0 - 2 * beta * r) / (r * r + 2 * alpha)
 
+    delta, u0 = number("delta", delta), number("u0", u0)
+    number("alpha", alpha, least=0)
+    number("beta", beta, least=0)
+
     @lru_cache(maxsize=4096)
     def radius(t: float) -> float:
+        t = number("t", t)
         if t == 0:
             return 1.0
         solution = solve_ivp(

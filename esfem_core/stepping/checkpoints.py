@@ -25,7 +25,7 @@ from esfem_core.stepping.bdf import combine
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.scheme import Mass
-from esfem_core.stepping.state import Method, State, check_state
+from esfem_core.stepping.state import Method, State, check_state, same_space
 from esfem_core.stepping.times import later
 
 __all__ = ["load", "respaced", "save", "saving"]
@@ -298,7 +298,7 @@ def _space_of(states: Sequence[State]) -> SurfaceSpace:
     space = first.space
     assert space is not None
     for i, state in enumerate(states):
-        if state.space is not space and not _equal(state.space, space):
+        if state.space is None or not same_space(state.space, space):
             raise ValueError(
                 f"states must belong to one space, but states[{i}] has another than states[0]; "
                 "after remeshing, take those since then"
@@ -319,15 +319,6 @@ def _space_of(states: Sequence[State]) -> SurfaceSpace:
                 f"{state.t!r}"
             )
     return space
-
-
-def _equal(one: SurfaceSpace | None, other: SurfaceSpace) -> bool:
-    return (
-        one is not None
-        and one.rule.exactness == other.rule.exactness
-        and np.array_equal(one.cells, other.cells)
-        and np.array_equal(one.nodes, other.nodes)
-    )
 
 
 def _listed(state: State) -> str:

@@ -164,6 +164,7 @@ def evolve(
     if not isinstance(problem, Problem):
         raise TypeError(f"problem must be a Problem, got {shown(problem)}")
     order = _checked_order(order, allow_unstable)
+    step = number("step", step, above=0)
     one_of("mass", mass, Mass)
     if growth != np.inf:
         number("growth", growth, above=1)
@@ -241,7 +242,6 @@ def _checked_start(
     step: float,
 ) -> StartName | list[State]:
     """How to start, or the states to start from."""
-    number("step", step, above=0)
     exact = problem.exact
     missing = [n for n in problem.all_species if exact is None or n not in exact.functions]
     if start is None:
@@ -280,11 +280,17 @@ def _checked_start(
 
 
 def _check_functions(name: str, problem: Problem, state: State) -> None:
-    """Refuse a state that lacks a function of the problem."""
-    for species in problem.all_species:
-        if species not in state.fields:
+    """Refuse a state that lacks a function of the problem, or has other components of it."""
+    for key, species in problem.all_species.items():
+        if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
-            raise ValueError(f"{name} must have the function {species!r}, it has {known}")
+            raise ValueError(f"{name} must have the function {key!r}, it has {known}")
+        trailing = state[key].shape[1:]
+        if np.ndim(species.diffusivity) == 1 and np.shape(species.diffusivity) != trailing:  # type: ignore[arg-type]
+            raise ValueError(
+                f"{name}[{key!r}] must have {np.size(species.diffusivity)} components, one for "  # type: ignore[arg-type]
+                f"each diffusivity, got shape {state[key].shape}"
+            )
 
 
 def _steps_after_start(given: StartName | list[State], order: int, step: float, end: float) -> int:

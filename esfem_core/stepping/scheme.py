@@ -151,7 +151,7 @@ class Scheme:
         functions, products = self._diffuse(own, levels, at.M, at.x)
         solve = self._law_solver(extra.get("v"))
         v = law.velocity(at, dict(functions), tau, past, solve)
-        v = finite_array("the velocity of the law", v, at.x.shape)
+        v = np.array(finite_array("the velocity of the law", v, at.x.shape))
         x = (step * v - x_past) / d[0] if given is None else given
 
         M = self.space.mass(x) if self.mass == "updated" and given is None else at.M

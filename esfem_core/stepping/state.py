@@ -9,7 +9,7 @@ import numpy as np
 from esfem_core.checks import Array, finite_array, number, real_array, shown
 from esfem_core.elements import Surface, SurfaceSpace
 
-__all__ = ["EvolutionError", "State", "check_state"]
+__all__ = ["EvolutionError", "State", "check_state", "same_space"]
 
 
 Method = tuple[str, int, float]
@@ -178,6 +178,10 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     """
     if not isinstance(state, State):
         raise TypeError(f"{name} must be a State, got {shown(state)}")
+    if not (state.space is None or same_space(state.space, space)):
+        raise ValueError(
+            f"{name} must be a state of this space, {space!r}, but it is one of {state.space!r}"
+        )
     n = len(space.nodes)
     finite_array(f"{name}.x", state.x, (n, 3))
     if state.v is not None:
@@ -187,6 +191,15 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         w = finite_array(called, values, ("N", "..."))
         if w.ndim > 2 or len(w) != n:
             raise ValueError(f"{called} must have shape ({n},) or ({n}, m), got {w.shape}")
+
+
+def same_space(one: SurfaceSpace, other: SurfaceSpace) -> bool:
+    """Whether two spaces have the same elements, nodes and quadrature."""
+    return one is other or (
+        one.rule.exactness == other.rule.exactness
+        and np.array_equal(one.cells, other.cells)
+        and np.array_equal(one.nodes, other.nodes)
+    )
 
 
 class EvolutionError(RuntimeError):

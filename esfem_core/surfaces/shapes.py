@@ -14,6 +14,9 @@ __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", 
 Solid = Literal["octahedron", "icosahedron"]
 
 
+MOST_REFINEMENTS = 12  # 6.7e7 vertices from the octahedron: beyond, memory ends first
+
+
 def to_unit_sphere(points: Array) -> Array:
     """Closest points on the unit sphere, ``p(x) = x/|x|`` ([N] (2.2)).
 
@@ -60,7 +63,7 @@ def sphere(kind: Solid = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
         The octahedron keeps edges on the three coordinate planes; the icosahedron has the more
         even triangles.
     refinements : int
-        Number of refinements, 0 or more: ``4**(r+1) + 2`` vertices from the octahedron,
+        Number of refinements, 0 to 12: ``4**(r+1) + 2`` vertices from the octahedron,
         ``10 * 4**r + 2`` from the icosahedron. The meshes of [LMV], with 4,098 and 65,538
         vertices, are octahedra refined 5 and 7 times.
 
@@ -79,7 +82,7 @@ def sphere(kind: Solid = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
     >>> len(sphere("octahedron", 5).vertices), len(sphere("icosahedron", 2).vertices)
     (4098, 162)
     """
-    refinements = whole_number("refinements", refinements, 0)
+    refinements = whole_number("refinements", refinements, 0, MOST_REFINEMENTS)
     if one_of("kind", kind, Solid) == "octahedron":
         vertices = np.vstack([np.eye(3), -np.eye(3)])
         faces = np.array(
@@ -209,7 +212,7 @@ def bisected_sphere(bisections: int) -> trimesh.Trimesh:
     >>> len(bisected_sphere(4).vertices), len(bisected_sphere(14).vertices)
     (66, 65538)
     """
-    bisections = whole_number("bisections", bisections, 0)
+    bisections = whole_number("bisections", bisections, 0, 2 * MOST_REFINEMENTS)
     vertices = np.array(
         [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float
     )

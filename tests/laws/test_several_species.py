@@ -156,3 +156,21 @@ def test_amounts_of_two_species_are_kept_starting_states_included(p, solver):
             for name in some:
                 initial = first @ states[0][name]
                 assert ones @ state[name] == pytest.approx(initial, rel=1e-13), (mass, n, name)
+
+
+def test_a_source_without_return_is_refused():
+    def forgetful(at):
+        at.u**2
+
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    problem = ec.Problem(1.0, forgetful, motion=lambda p, t: p)
+    with pytest.raises(TypeError, match="source of 'u' returned None: is a return missing"):
+        list(ec.evolve(space, problem, 1, 0.1, 0.2))
+
+
+def test_arrays_of_a_species_are_its_own():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    u0 = np.ones(len(space.nodes))
+    problem = ec.Problem(u0, motion=lambda p, t: p)
+    u0 *= 7
+    assert next(ec.evolve(space, problem, 1, 0.1, 0.1)).u.max() == 1.0

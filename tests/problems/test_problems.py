@@ -296,3 +296,16 @@ def test_initial_values_get_points_of_their_own():
 
     np.testing.assert_array_equal(ec.Problem(writes).initial_values(nodes)["u"], np.ones(4))
     assert not nodes.any()
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, "1"])
+@pytest.mark.parametrize("problem", [ec.problems.growing_sphere(), ec.problems.shrinking_sphere()])
+def test_exact_radii_are_refused_at_times_that_are_none(problem, time):
+    with pytest.raises((ValueError, TypeError), match="t must be a finite number"):
+        problem.exact.x(np.eye(3), time)
+
+
+@pytest.mark.parametrize("name", ["delta", "u0", "alpha"])
+def test_parameters_of_the_growing_sphere_are_finite(name):
+    with pytest.raises(ValueError, match=f"{name} must be a finite number"):
+        ec.problems.growing_sphere(**{name: np.nan})

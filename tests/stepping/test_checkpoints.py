@@ -108,6 +108,7 @@ class Source:
     def __call__(self, at):  # in the middle of a step, when half of its systems are solved
         if at.t > 0.42:
             os.kill(os.getpid(), signal.SIGKILL)
+        return 0.0
         return None
 
 problem = coupled(source=Source())

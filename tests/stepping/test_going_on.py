@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -225,3 +226,35 @@ def test_states_to_start_from_are_refused_at_the_call(start, error, message):
     states = run(PROBLEMS["two species"], 2, end=3 * STEP)
     with pytest.raises(error, match=message):
         ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=start(states))
+
+
+def test_states_of_another_space_with_as_many_nodes_are_refused():
+    linear = ec.SurfaceSpace(ec.sphere("octahedron", 2), 1)
+    other = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    assert linear.nodes.shape == other.nodes.shape
+    problem = ec.problems.growing_sphere()
+    states = list(ec.evolve(other, problem, 2, 0.05, 0.2))
+    message = (
+        r"must be a state of this space, SurfaceSpace\(degree=1.*one of SurfaceSpace\(degree=2"
+    )
+    with pytest.raises(ValueError, match=r"start\[0\] " + message):
+        ec.evolve(linear, problem, 2, 0.05, 0.4, start=states)
+    with pytest.raises(ValueError, match="state " + message):
+        ec.errors.compare(linear, problem, states[-1])
+
+
+def test_components_must_fit_the_diffusivities():
+    two = ec.Species(lambda x: x[:, :2], diffusivity=np.array([1.0, 50.0]))
+    problem = ec.Problem(species={"b": two}, law=ec.laws.Prescribed(lambda p, t: p))
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    for values in (space.nodes[:, 0], space.nodes):
+        start = [ec.State(0.0, space.nodes, fields={"b": values}, space=space)]
+        with pytest.raises(ValueError, match=r"start\[0\]\['b'\] must have 2 components"):
+            ec.evolve(space, problem, 1, 0.1, 0.2, start=start)
+
+
+@pytest.mark.parametrize("step", [np.float32(0.5), np.array(0.5), np.int64(1), Fraction(1, 2)])
+def test_a_step_may_be_a_number_of_any_library(step, tmp_path):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    run = ec.evolve(space, ec.problems.growing_sphere(), 1, step, 2.0, save=tmp_path / "run.npz")
+    assert list(run)[-1].t == 2.0

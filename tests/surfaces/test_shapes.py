@@ -96,10 +96,16 @@ def test_a_point_without_a_closest_one_on_the_unit_sphere_is_shown(point, axes):
     ("make", "message"),
     [
         (lambda: ec.sphere("cube"), 'kind must be "octahedron" or "icosahedron", got \'cube\''),
-        (lambda: ec.sphere("octahedron", -1), "refinements must be an integer >= 0, got -1"),
-        (lambda: ec.sphere("octahedron", 1.5), "refinements must be an integer >= 0, got 1.5"),
-        (lambda: bisected_sphere(-1), "bisections must be an integer >= 0, got -1"),
-        (lambda: bisected_sphere(1.5), "bisections must be an integer >= 0, got 1.5"),
+        (
+            lambda: ec.sphere("octahedron", -1),
+            "refinements must be an integer from 0 to 12, got -1",
+        ),
+        (
+            lambda: ec.sphere("octahedron", 1.5),
+            "refinements must be an integer from 0 to 12, got 1.5",
+        ),
+        (lambda: bisected_sphere(-1), "bisections must be an integer from 0 to 24, got -1"),
+        (lambda: bisected_sphere(1.5), "bisections must be an integer from 0 to 24, got 1.5"),
         (lambda: ec.torus(1.0, 1.0), "a torus needs R > r, got R = 1 and r = 1"),
         (lambda: ec.torus(1.0, 0.0), "r must be a finite number > 0, got 0"),
         (lambda: ec.torus(np.inf, 1.0), "R must be a finite number > 0, got inf"),
@@ -129,7 +135,10 @@ def moved(tri=None, share=0.1, project=ec.to_unit_sphere, seed=0):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ec.sphere("octahedron", "3"), "refinements must be an integer >= 0, got '3'"),
+        (
+            lambda: ec.sphere("octahedron", "3"),
+            "refinements must be an integer from 0 to 12, got '3'",
+        ),
         (lambda: ec.torus(n=None), "n must be an integer >= 3, got None"),
         (lambda: moved(tri=(1, 2)), r"tri must be a trimesh.Trimesh, got \(1, 2\)"),
         (lambda: ec.to_unit_sphere([[1j, 0, 0]]), "points must hold real numbers, got complex128"),
