@@ -2,10 +2,11 @@ r"""Problems that are made for a solution: the right-hand sides that a given mot
 
 The surface is {d(x, t) = 0}, its points move by x = X(p, t), and u(x, t) lives on it. sympy
 differentiates d, X and u; all else is linear algebra at the points where f or the force is asked
-for, with ν = grad d/|grad d| and P = I - ν ν^T::
+for::
 
-    grad_Γ w = P grad w        div_Γ w = P : grad w        H = div_Γ ν = P : D²d/|grad d|
-    lap_Γ w  = P : D²w - H ν . grad w                      u' = du/dt + v . grad u
+    ν = grad d/|grad d|        P = I - ν ν^T               H = div_Γ ν = P : D²d/|grad d|
+    grad_Γ w = P grad w        div_Γ w = P : grad w        u' = du/dt + v . grad u
+    lap_Γ w  = P : D²w - H ν . grad w
 
 These hold for any extension of w off the surface. That of the velocity is v(x, t) = V(p, t) with
 V = dX/dt and X(p, t) = x: with F = DX, of inverse G, the chain rule gives::
