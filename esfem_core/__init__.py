@@ -11,7 +11,7 @@ from esfem_core.output import (
     save_series,
     save_table,
 )
-from esfem_core.problems import Exact, Problem
+from esfem_core.problems import Exact, Problem, manufactured
 from esfem_core.solvers import DirectSolver, LaggedSolver
 from esfem_core.stepping import (
     EvolutionError,
@@ -70,6 +70,7 @@ __all__ = [
     "from_level_set",
     "laws",
     "load",
+    "manufactured",
     "measure",
     "mesh_quality",
     "multipliers",

@@ -1,5 +1,6 @@
-"""What is solved: the papers' own problems, and two with simple exact solutions."""
+"""What is solved: the papers' own problems, spheres, and problems made for a solution."""
 
+from esfem_core.problems.manufactured import manufactured
 from esfem_core.problems.prescribed import Evaluation, Solution, baseball_bat, oscillating_ellipsoid
 from esfem_core.problems.problem import Exact, Problem
 from esfem_core.problems.spheres import (
@@ -20,6 +21,7 @@ __all__ = [
     "expanding_sphere",
     "growing_sphere",
     "logistic_sphere",
+    "manufactured",
     "oscillating_ellipsoid",
     "shrinking_sphere",
 ]

@@ -109,7 +109,7 @@ class Source:
         if at.t > 0.42:
             os.kill(os.getpid(), signal.SIGKILL)
         return 0.0
-        return None
+
 problem = coupled(source=Source())
 for state in ec.evolve(SPACE, problem, 3, 0.05, 0.6, solver="direct", save=sys.argv[1], every=2):
     print(state.t, flush=True)
