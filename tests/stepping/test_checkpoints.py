@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
@@ -158,47 +159,41 @@ def test_a_run_that_fails_leaves_its_last_good_states(tmp_path):
     assert [state.t for state in ec.load(path)[1]] == [0.5, 0.6, 0.7]
 
 
-def full_disk(limit):
+@contextmanager
+def room(limit):
     """A disk with room for a file of so many bytes, as far as this process is concerned."""
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-
-
-@pytest.fixture
-def room():
-    """Sets the room on the disk, and gives it back."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.getsignal(signal.SIGXFSZ)
-    yield full_disk
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        yield
+    finally:  # before pytest itself writes again
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
 
 
-def test_a_full_disk_leaves_the_older_file_whole(tmp_path, room):
+def test_a_full_disk_leaves_the_older_file_whole(tmp_path):
     path = tmp_path / "run.npz"
     states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))
     ec.save(path, states[:2])
     before = path.read_bytes()
-    room(1000)
-    with pytest.raises(
-        OSError, match=r"File too large; the file is as it was: make room.*run\.npz"
-    ):
+    message = r"File too large; the file is as it was: make room.*run\.npz"
+    with room(1000), pytest.raises(OSError, match=message):
         ec.save(path, states)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["run.npz"]
 
 
-def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path, room):
+def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path):
     path = tmp_path / "run.npz"
     run = ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, save=path, every=2)
     assert [state.t for state in islice(run, 2)] == [0.0, 0.1]
-    room(1000)
-    with pytest.warns(ec.EvolutionWarning, match=r"t = 0\.3 could not be saved .*File too large"):
+    first, second = r"t = 0\.3 could not be saved .*File too large", r"t = 0\.1.*again after 2"
+    with room(1000), pytest.warns(ec.EvolutionWarning, match=first):
         list(islice(run, 2))
     assert ec.load(path)[1][-1].t == 0.1
-    with pytest.warns(ec.EvolutionWarning, match=r"holds the states up to t = 0\.1.*again after 2"):
+    with room(1000), pytest.warns(ec.EvolutionWarning, match=second):
         list(islice(run, 2))
-    room(10**9)
     assert [state.t for state in run] == [0.6, 0.7, 0.8]
     assert ec.load(path)[1][-1].t == 0.8
 
