@@ -120,6 +120,7 @@ space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
 def kill(at):
     if at.t > 0.42:
         os.kill(os.getpid(), signal.SIGKILL)
+    return 0.0
 problem = ec.Problem(1.0, kill, motion=lambda p, t: p * (1 + t))
 ec.save_series(sys.argv[1], ec.evolve(space, problem, 2, 0.1, 1.0))
 """
