@@ -68,8 +68,8 @@ def test_a_wheel_contains_every_stored_result(wheel):
     prefix = "esfem_core/companion/data/"
     names = {name.removeprefix(prefix) for name in ZipFile(wheel).namelist() if prefix in name}
     assert names == {path.name for path in campaign.DATA.iterdir()}
-    assert {"performance.json", "verdicts.json"} < names
-    assert len(names) == 21
+    assert {"performance.json", "verdicts.json", "stanford_bunny.ply"} < names
+    assert len(names) == 22
 
 
 def test_an_installed_package_reads_them_in_an_empty_folder(wheel, tmp_path):
