@@ -65,7 +65,11 @@ def test_sliders_move_their_picture(plotted, reader):
                 " p.querySelector('.slider-group > .slider-label').textContent]"
             )
             assert abs(active - share * (steps - 1)) <= 0.1 * steps
-            shown.append((label, plot.evaluate("p => Array.from(p._fullData[0].x.slice(0, 50))")))
+            drawn = plot.evaluate(  # a resting surface shows by its colours that something moved
+                "p => { const d = p._fullData[0];"
+                " return [d.x, d.intensity || []].map(a => Array.from(a.slice(0, 50))); }"
+            )
+            shown.append((label, drawn))
         assert shown[0][0] != shown[1][0]
         assert shown[0][1] != shown[1][1]
         assert plot.locator("canvas").count() > 0
