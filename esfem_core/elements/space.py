@@ -30,7 +30,7 @@ from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.numbering import check_cells, mirrored, number_cells, place_nodes
 from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
-from esfem_core.elements.scatter import NodalSum, SparsePattern
+from esfem_core.elements.scatter import NodalSum, SparsePattern, keep_freed_memory
 from esfem_core.solvers import Fronts, dissect
 from esfem_core.surfaces import (
     check_triangulation,
@@ -259,6 +259,7 @@ class SurfaceSpace:
 
     def _set_up(self, nodes: Array, cells: Ints, degree: int, rule: TriangleRule) -> None:
         """What both constructors do in the end."""
+        keep_freed_memory()
         self.nodes, self.cells, self.degree, self.rule = nodes, cells, degree, rule
         self.tables = ElementTables(tabulate(degree, rule.points), rule)
         self._chunks = list(chunks(len(self.cells), len(self.tables.gradients) // 2))

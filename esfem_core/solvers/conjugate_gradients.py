@@ -166,4 +166,7 @@ def pcg(
 
 def _times(A: csr_array, x: Array) -> Array:
     """A times each row of x."""
-    return np.stack([A @ row for row in x])
+    products = np.empty_like(x)
+    for product, row in zip(products, x, strict=True):
+        product[:] = A @ row
+    return products

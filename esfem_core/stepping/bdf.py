@@ -6,6 +6,7 @@ Newest value first throughout. (The sum in [N] (2.18) runs the other way, from t
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -70,17 +71,25 @@ def gamma(p: int) -> Array:
     >>> gamma(3)
     array([ 3., -3.,  1.])
     """
-    p = whole_number("the order p", p, 1)
-    return np.array([(-1.0) ** j * comb(p, j + 1) for j in range(p)])
+    return np.array(_gamma(whole_number("the order p", p, 1)))
 
 
-def delta_exact(p: int) -> list[Fraction]:
+@lru_cache
+def _gamma(p: int) -> tuple[float, ...]:
+    return tuple((-1.0) ** j * comb(p, j + 1) for j in range(p))
+
+
+def delta_exact(p: int) -> tuple[Fraction, ...]:
     """Coefficients of :func:`delta` as exact fractions."""
-    p = whole_number("the order p", p, 1)
-    return [
+    return _delta_exact(whole_number("the order p", p, 1))
+
+
+@lru_cache
+def _delta_exact(p: int) -> tuple[Fraction, ...]:
+    return tuple(
         sum(((-1) ** j * Fraction(comb(m, j), m) for m in range(max(j, 1), p + 1)), Fraction(0))
         for j in range(p + 1)
-    ]
+    )
 
 
 def extrapolate(values: Sequence[Array]) -> Array:

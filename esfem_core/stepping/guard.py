@@ -125,20 +125,20 @@ class Guard:
 
     def _triangles(self, x: Array) -> tuple[Array, Array, Array]:
         """Normals of twice the area, (3, T), volumes of components, sums of squared sides, (T,)."""
-        origin = x[0]
-        a, b, c = (x.T - origin[:, None]).take(self._corners, axis=1).swapaxes(0, 1)
+        a, b, c = x.T.take(self._corners, axis=1).swapaxes(0, 1)
         p, q = b - a, c - a
         normal = np.empty_like(p)
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             np.multiply(p[j], q[k], out=normal[i])
             normal[i] -= p[k] * q[j]
-        products = _dot(a, normal)
+        a = a - x[0][:, None]  # volumes by differences, so that they are exact far from the origin
         if self._several:
-            volume = np.bincount(self._component, products) / 6
+            volume = np.bincount(self._component, _dot(a, normal)) / 6
         else:
-            volume = np.array([products.sum() / 6])
-        sides = 2 * (_dot(p, p) + _dot(q, q) - _dot(p, q))
-        return normal, volume, sides
+            volume = np.array([np.vdot(a, normal) / 6])
+        squares = q * (q - p)
+        squares += p * p
+        return normal, volume, 2 * squares.sum(axis=0)
 
     def _place(self, x: Array, element: int) -> str:
         return _rounded(x[self._corners[:, element]].mean(axis=0))
@@ -160,9 +160,7 @@ def _components(corners: Ints, n_nodes: int) -> Ints:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    out: Array = a[0] * b[0]
-    out += a[1] * b[1]
-    out += a[2] * b[2]
+    out: Array = np.einsum("it,it->t", a, b)
     return out
 
 

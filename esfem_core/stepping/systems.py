@@ -125,6 +125,8 @@ def _same_places(K: csr_array, pattern: csr_array) -> bool:
 
 def stacked(loads: Sequence[Array]) -> tuple[Array, Callable[[Array], list[Array]]]:
     """Right-hand sides (N, ...) side by side, (N, m), and what takes solutions apart again."""
+    if len(loads) == 1:
+        return loads[0], lambda w: [w]
     columns = [b.reshape(len(b), -1) for b in loads]
     ends = np.cumsum([c.shape[1] for c in columns])[:-1]
 
@@ -132,6 +134,4 @@ def stacked(loads: Sequence[Array]) -> tuple[Array, Callable[[Array], list[Array
         parts = np.split(w, ends, axis=1)
         return [part.reshape(b.shape) for part, b in zip(parts, loads, strict=True)]
 
-    if len(loads) == 1:
-        return loads[0], lambda w: [w]
     return np.hstack(columns), apart
