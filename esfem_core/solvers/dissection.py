@@ -1,10 +1,12 @@
 """Nested dissection: a binary tree of parts of a mesh, and who separates them.
 
-Halve the elements by a plane across their longest direction, then the halves, and so on. A node
-belongs to the smallest part that holds all elements around it: inside a part, the nodes that its
-two halves share separate them. Eliminated from the smallest parts to the whole mesh, the nodes of
-a part see no others than those of the parts around it. On a surface a part of n nodes is bounded
-by O(sqrt(n)) of them, and a Cholesky factor has O(N log N) entries (George, 1973).
+Halve the elements by a plane across their longest direction, then the halves, and so on. Where
+elements are long themselves, as those of cylinders from CAD programs, such a plane may run along a
+whole ring of them: where it cuts many edges, planes across the other two principal directions are
+tried as well. A node belongs to the smallest part that holds all elements around it: inside a part,
+the nodes that its two halves share separate them. Eliminated from the smallest parts to the whole
+mesh, the nodes of a part see no others than those of the parts around it. On a surface a part of n
+nodes is bounded by O(sqrt(n)) of them, and a Cholesky factor has O(N log N) entries (George, 1973).
 """
 
 from typing import NamedTuple
@@ -18,6 +20,8 @@ __all__ = ["Dissection", "dissect"]
 # Among directions of equal length rounding errors would choose. These weights prefer x to y to z:
 # on round surfaces the coordinate planes are the separators with the fewest nodes.
 PREFERENCE = np.array([1.0, 0.99, 0.98])
+WIDE = 1.5  # times sqrt(T): edges between the halves of T elements; well-shaped parts have fewer
+FEWER = 1.3  # another direction must cut this many times fewer edges to be chosen
 
 
 class Dissection(NamedTuple):
@@ -95,7 +99,8 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
         raise ValueError(f"cells must have shape (T, n) with n >= 3, got {cells.shape}")
     divisions = np.log2(max(len(points) / part_size, 1))
     depth = int(min(np.ceil(divisions), np.log2(len(cells))))
-    cell_part = _bisect(PREFERENCE * points[cells[:, :3]].mean(axis=1), depth)
+    corners = cells[:, :3]
+    cell_part = _bisect(PREFERENCE * points[corners].mean(axis=1), _neighbours(corners), depth)
     first = np.full(len(points), 2**depth)
     last = np.full(len(points), -1)
     for nodes in cells.T:
@@ -108,18 +113,54 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     return Dissection(depth, cell_part, depth - height, first >> height)
 
 
-def _bisect(centers: Array, depth: int) -> Ints:
-    """Halve a set of points `depth` times, all parts of a depth at once; number of the part."""
-    order = np.arange(len(centers))
-    bounds = np.array([0, len(centers)])
+def _neighbours(corners: Ints) -> tuple[Ints, Ints]:
+    """Pairs of elements that share an edge."""
+    others = np.roll(corners, -1, axis=1)
+    edges = np.minimum(corners, others) * (corners.max() + 1) + np.maximum(corners, others)
+    order = np.argsort(edges, axis=None, kind="stable")
+    twice = np.flatnonzero(np.diff(edges.ravel()[order]) == 0)
+    return order[twice] // 3, order[twice + 1] // 3
+
+
+def _bisect(centers: Array, neighbours: tuple[Ints, Ints], depth: int) -> Ints:
+    """Halve a set of elements `depth` times, all parts of a depth at once; number of the part."""
+    order, counts = np.arange(len(centers)), np.array([len(centers)])
     for _ in range(depth):
-        starts, counts = bounds[:-1], np.diff(bounds)
-        part = np.repeat(np.arange(len(starts)), counts)
+        first, part = np.cumsum(counts) - counts, _numbered(counts)
         c = centers[order]
-        c -= (np.add.reduceat(c, starts) / counts[:, None])[part]
-        longest = np.linalg.eigh(np.add.reduceat(c[:, :, None] * c[:, None], starts))[1][..., -1]
-        order = order[np.lexsort(((c * longest[part]).sum(axis=1), part))]
-        bounds = np.sort(np.r_[bounds, starts + counts // 2])
+        c -= (np.add.reduceat(c, first) / counts[:, None])[part]
+        axes = np.linalg.eigh(np.add.reduceat(c[:, :, None] * c[:, None], first))[1]
+        shortest, middle, longest = np.moveaxis(axes, 2, 0)
+        halves = np.column_stack([counts // 2, counts - counts // 2]).ravel()
+
+        best = order[_sorted_along(longest, c, part)]
+        cut = _cut_edges(best, halves, neighbours)
+        if (cut > WIDE * np.sqrt(counts)).any():
+            for direction in (middle, shortest):
+                other = order[_sorted_along(direction, c, part)]
+                other_cut = _cut_edges(other, halves, neighbours)
+                better = FEWER * other_cut < cut
+                best = np.where(better[part], other, best)
+                cut = np.where(better, other_cut, cut)
+        order, counts = best, halves
     parts = np.empty(len(centers), dtype=np.int64)
-    parts[order] = np.repeat(np.arange(2**depth), np.diff(bounds))
+    parts[order] = _numbered(counts)
     return parts
+
+
+def _numbered(counts: Ints) -> Ints:
+    """0 as often as the first count says, then 1, and so on."""
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+def _sorted_along(direction: Array, c: Array, part: Ints) -> Ints:
+    """Order of the elements of each part along its direction."""
+    return np.lexsort(((c * direction[part]).sum(axis=1), part))
+
+
+def _cut_edges(order: Ints, halves: Ints, neighbours: tuple[Ints, Ints]) -> Ints:
+    """How many edges lie between the two halves of each part."""
+    half = np.empty_like(order)
+    half[order] = _numbered(halves)
+    one, other = half[neighbours[0]], half[neighbours[1]]
+    return np.bincount(one[one ^ other == 1] // 2, minlength=len(halves) // 2)

@@ -47,6 +47,52 @@ def test_parts_are_equal_to_one_element(space):
     assert np.ptp(sizes) <= 1
 
 
+def stretched(tri, *factors):
+    tri = tri.copy()
+    tri.apply_scale(factors)
+    return tri
+
+
+def bipyramid(n):
+    """Two hubs over a ring of n vertices."""
+    angle = 2 * np.pi * np.arange(n) / n
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = [np.column_stack([i, j, np.full(n, n)]), np.column_stack([j, i, np.full(n, n + 1)])]
+    vertices = np.vstack([ring, [[0, 0, 1], [0, 0, -1]]])
+    return trimesh.Trimesh(vertices, np.vstack(faces), process=False)
+
+
+profile = [[0, -1], [1, -1], [1, -0.5], [0.2, 0], [1, 0.5], [1, 1], [0, 1]]
+box = trimesh.creation.box()
+for _ in range(5):
+    box = box.subdivide()
+SHAPES = {
+    "a cylinder of long triangles": trimesh.creation.cylinder(1, 2, sections=1500),
+    "a tall cylinder": trimesh.creation.cylinder(0.1, 5, sections=1500),
+    "a cone": trimesh.creation.cone(1, 2, sections=1500),
+    "an annulus": trimesh.creation.annulus(0.5, 1, 0.2, sections=1500),
+    "rings": trimesh.creation.revolve(profile, sections=800),
+    "two hubs": bipyramid(2000),
+    "a capsule": trimesh.creation.capsule(height=5, radius=0.2, count=[60, 60]),
+    "a needle": stretched(ec.sphere("icosahedron", 4), 50, 1, 1),
+    "a long box": stretched(box, 20, 1, 0.05),
+    "several parts": trimesh.util.concatenate(
+        [ec.sphere("icosahedron", 3).apply_translation((3 * i, 0, 0)) for i in range(5)]
+    ),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_no_shape_of_elements_makes_large_fronts(shape):
+    space = ec.SurfaceSpace(SHAPES[shape])
+    sphere = ec.SurfaceSpace(ec.sphere("icosahedron", 4))
+    n, fronts = len(space.nodes), space.fronts
+    largest = max(batch.slots.shape[1] for level in fronts.levels for batch in level.batches)
+    assert largest < 4 * np.sqrt(n)
+    assert fronts.n_stored / n < 1.25 * sphere.fronts.n_stored / len(sphere.nodes)
+
+
 def test_few_and_coinciding_nodes():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2)
     order = dissect(space.cells, np.zeros_like(space.nodes)).order
