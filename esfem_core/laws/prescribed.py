@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from esfem_core.checks import Array, real_array, shown
 from esfem_core.elements import Surface
@@ -96,6 +95,8 @@ class Prescribed(Law):
             return v.ravel()
 
         size = float(np.abs(x).max())
+        from scipy.integrate import solve_ivp  # a tenth of the package's start, for this alone
+
         flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
         if not flow.success:
             raise FloatingPointError(f"the velocity cannot be integrated: {flow.message}")

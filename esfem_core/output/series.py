@@ -11,10 +11,10 @@ import os
 import sys
 import zlib
 from collections.abc import Iterable, Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,7 +294,7 @@ def _entries(path: Path) -> list[tuple[float, str]]:
 
 def _pvd(entries: Iterable[tuple[float, str]]) -> bytes:
     lines = [
-        f'    <DataSet timestep="{t!r}" part="0" file={quoteattr(name)}/>' for t, name in entries
+        f'    <DataSet timestep="{t!r}" part="0" file="{escape(name)}"/>' for t, name in entries
     ]
     head = f'<VTKFile type="Collection" version="1.0" byte_order="{BYTE_ORDER}">\n  <Collection>'
     text = "\n".join(['<?xml version="1.0"?>', head, *lines, "  </Collection>", "</VTKFile>", ""])
@@ -342,7 +342,7 @@ def _data_array(name: str, values: NDArray[Any]) -> str:
     components = f'NumberOfComponents="{values.shape[1]}" ' if values.ndim == 2 else ""
     size = f'NumberOfTuples="{len(values)}" ' if name == "TimeValue" else ""
     return (
-        f'<DataArray type="{TYPES[values.dtype.str[1:]]}" Name={quoteattr(name)} {components}{size}'
+        f'<DataArray type="{TYPES[values.dtype.str[1:]]}" Name="{escape(name)}" {components}{size}'
         f'format="binary">\n{text.decode()}\n</DataArray>'
     )
 

@@ -13,17 +13,20 @@ to bound defects in time; here it is computed.
 from collections.abc import Sequence
 from fractions import Fraction
 from math import comb, factorial
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from esfem_core.checks import whole_number
 from esfem_core.stepping.bdf import delta_exact, gamma
 
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
 __all__ = ["bdf_kernel", "extrapolation_kernel"]
 
 
-def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
+def bdf_kernel(p: int, degree: int | None = None) -> "PPoly":
     r"""Kernel of the error of the BDF quotient.
 
     (1/tau) sum_j delta_j y(t - j tau) - y'(t)
@@ -62,7 +65,7 @@ def bdf_kernel(p: int, degree: int | None = None) -> PPoly:
     return _truncated_powers([*terms, (Fraction(-q), 0, q - 1)], p, q)
 
 
-def extrapolation_kernel(p: int, degree: int | None = None) -> PPoly:
+def extrapolation_kernel(p: int, degree: int | None = None) -> "PPoly":
     r"""Kernel of the error of extrapolation from p values.
 
     sum_j gamma_j y(t - (j+1) tau) - y(t)
@@ -103,7 +106,7 @@ def _orders(p: int, degree: int | None) -> tuple[int, int]:
     return p, p if degree is None else whole_number("degree", degree, 1, p)
 
 
-def _truncated_powers(terms: Sequence[tuple[Fraction, int, int]], p: int, degree: int) -> PPoly:
+def _truncated_powers(terms: Sequence[tuple[Fraction, int, int]], p: int, degree: int) -> "PPoly":
     """Sum of c (theta - j)_+^n / degree! on [0, p], from exact coefficients around each break."""
     coefficients = np.zeros((degree + 1, p))
     for piece in range(p):
@@ -113,4 +116,6 @@ def _truncated_powers(terms: Sequence[tuple[Fraction, int, int]], p: int, degree
                 for m in range(n + 1):  # (theta - piece)^m
                     exact[m] += c * comb(n, m) * Fraction(piece - j) ** (n - m)
         coefficients[:, piece] = [float(e / factorial(degree)) for e in reversed(exact)]
+    from scipy.interpolate import PPoly  # a tenth of the package's start, for this alone
+
     return PPoly(coefficients, np.arange(p + 1.0), extrapolate=False)
