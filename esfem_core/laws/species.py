@@ -96,8 +96,8 @@ class Species:
         Values at the boundary: a number, or ``fixed(x, t)`` of the positions, (B, 3), of its nodes
         at time t, returning (B,) or (B, m). Or a pair (nodes, values): numbers of nodes, (B,), or a
         bool for each, (N,), on a part of the boundary or anywhere; and a number, (B, ...) values or
-        a function. Steps keep them exactly; `initial` stays as it is, and equal values are expected
-        from it. None for the natural condition.
+        a function. Steps keep them exactly; `initial` stays as it is: other values there are a jump
+        at the start. None for the natural condition.
 
     Raises
     ------

@@ -88,7 +88,7 @@ class Condition(NamedTuple):
     def values(self, name: str, x: Array, t: float, shape: tuple[int, ...]) -> Array:
         """The given values of a species of this shape, (N, ...), and zero elsewhere.
 
-        Raises what :meth:`esfem_core.laws.Fixed.at` does.
+        Raises what :meth:`esfem_core.laws.fixed.Fixed.at` does.
         """
         nodes, values = self.elimination.nodes, np.zeros(shape)
         values[nodes] = self.fixed.at(name, x[nodes], t, shape[1:])
