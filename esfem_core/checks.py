@@ -19,6 +19,7 @@ __all__ = [
     "Bools",
     "Ints",
     "finite_array",
+    "flag",
     "integer_array",
     "number",
     "one_of",
@@ -176,6 +177,21 @@ def one_of(name: str, value: object, options: Any) -> str:
         text = f"{', '.join(most)} or {last}" if most else last
         raise ValueError(f"{name} must be {text}, got {shown(value)}")
     return value
+
+
+def flag(name: str, value: object) -> bool:
+    """True or False, of Python or NumPy.
+
+    Examples
+    --------
+    >>> flag("boundary", 2)
+    Traceback (most recent call last):
+        ...
+    TypeError: boundary must be True or False, got 2
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
 
 
 def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:

@@ -31,6 +31,13 @@ NUMBERS = {
         ("centre at the end: ", 0.2008, 2e-4),
     ],
     "heat": [("t = 2.0: mean ", 20.0, 1e-9), ("range at the end: ", 8.5374, 2e-4)],
+    "hemisphere": [
+        ("nodes on the boundary: ", 64, 0),
+        ("t = 1.00: amounts insulated ", 3.14137, 2e-5),  # as at the beginning
+        ("t = 1.00: .* cold ", 0.785398, 2e-5),  # pi/4
+        ("largest error of cold: ", 0, 2e-5),
+        ("at the rim: .* cold ", 0, 0),
+    ],
     "mean_curvature": [
         ("t = 0.16: radius ", 0.6, 1e-4),
         ("area at the end: ", 0.50120, 2e-5),

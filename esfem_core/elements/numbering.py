@@ -6,8 +6,16 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 from esfem_core.elements.lagrange import node_indices
+from esfem_core.surfaces import sides_of
 
-__all__ = ["check_cells", "flat_triangles", "mirrored", "number_cells", "place_nodes"]
+__all__ = [
+    "boundary_nodes",
+    "check_cells",
+    "flat_triangles",
+    "mirrored",
+    "number_cells",
+    "place_nodes",
+]
 
 
 def number_cells(faces: Ints, degree: int) -> Ints:
@@ -50,7 +58,7 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
     wanted = number_cells(faces, degree)
     if wanted.max() + 1 != n_nodes:
         raise ValueError(
-            f"a closed surface of {len(cells)} such elements has {wanted.max() + 1} nodes, got "
+            f"a surface of {len(cells)} such elements has {wanted.max() + 1} nodes, got "
             f"{n_nodes}: neighbours must share the nodes on their edge, and no others; "
             "SurfaceSpace.read makes one of nodes at the same place"
         )
@@ -66,6 +74,28 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
         )
     if len(np.unique(given)) < n_nodes:
         raise ValueError("two nodes of the surface have one number: nodes must not be repeated")
+
+
+def boundary_nodes(cells: Ints, degree: int) -> Ints:
+    """Nodes on the edges that belong to one element only, (B,), in increasing order.
+
+    Parameters
+    ----------
+    cells : (T, (k+1)(k+2)/2) int array
+        In VTK's Lagrange order.
+    degree : int
+        The degree k.
+
+    Examples
+    --------
+    >>> boundary_nodes(np.array([[0, 1, 2, 4, 5, 6], [2, 1, 3, 5, 7, 8]]), 2).tolist()
+    [0, 1, 2, 3, 4, 6, 7, 8]
+    """
+    alone = (sides_of(cells[:, :3]).times == 1).reshape(-1, 3)
+    inner = 3 + np.arange(3 * (degree - 1)).reshape(3, -1)
+    ends = np.array([[0, 1], [1, 2], [2, 0]])
+    on_side = np.hstack([ends, inner])  # local nodes of each side
+    return np.unique(cells[:, on_side][alone])
 
 
 def mirrored(degree: int) -> Ints:

@@ -19,6 +19,7 @@ from esfem_core.checks import (
     Bools,
     Ints,
     finite_array,
+    flag,
     integer_array,
     one_of,
     real_array,
@@ -27,12 +28,19 @@ from esfem_core.checks import (
 )
 from esfem_core.elements.integrals import ElementTables, Metric, chunks
 from esfem_core.elements.lagrange import tabulate
-from esfem_core.elements.numbering import check_cells, mirrored, number_cells, place_nodes
+from esfem_core.elements.numbering import (
+    boundary_nodes,
+    check_cells,
+    mirrored,
+    number_cells,
+    place_nodes,
+)
 from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern, keep_freed_memory
 from esfem_core.solvers import Fronts, dissect
 from esfem_core.surfaces import (
+    boundary_advice,
     check_triangulation,
     curved_elements,
     fault,
@@ -47,7 +55,7 @@ NodeOrder = Literal["vtk", "gmsh", "meshio"]  # on triangles these are one order
 
 
 class SurfaceSpace:
-    """Continuous piecewise polynomials of degree k on a closed triangulated surface.
+    """Continuous piecewise polynomials of degree k on a triangulated surface.
 
     Parameters
     ----------
@@ -66,6 +74,11 @@ class SurfaceSpace:
     project_vertices : bool
         Whether `project` moves the vertices, too: for triangulations that are only near the
         surface.
+    boundary : bool
+        Accept a surface with a boundary: edges that belong to one triangle only. Without, a hole
+        in a mesh is an error. A run must then prescribe the motion, by
+        :class:`esfem_core.laws.Prescribed`; conditions for functions at the boundary are natural,
+        or those of ``Species(fixed=...)``.
 
     Attributes
     ----------
@@ -74,6 +87,8 @@ class SurfaceSpace:
     cells : (T, (k+1)(k+2)/2) int array
         Node numbers of each element in VTK's Lagrange order, triangles in their order.
     degree : int
+    boundary_nodes : (B,) int array
+        Nodes on edges of one element only, in increasing order; none on a closed surface.
     rule : TriangleRule
         Points and weights of the quadrature, Q of them.
     tables : ElementTables
@@ -96,6 +111,15 @@ class SurfaceSpace:
     >>> M, A = space.mass_stiffness(space.nodes)
     >>> print(f"{M.sum() / (4 * np.pi):.6f}")
     0.999317
+
+    A hemisphere: the equator consists of edges of the octahedral sphere.
+
+    >>> tri = ec.sphere("octahedron", 2)
+    >>> tri.update_faces(tri.triangles_center[:, 2] > 0)
+    >>> tri.remove_unreferenced_vertices()
+    >>> half = ec.SurfaceSpace(tri, 2, ec.to_unit_sphere, boundary=True)
+    >>> len(half.boundary_nodes), float(np.abs(half.nodes[half.boundary_nodes, 2]).max())
+    (32, 0.0)
     """
 
     def __init__(
@@ -106,9 +130,10 @@ class SurfaceSpace:
         exactness: int | None = None,
         *,
         project_vertices: bool = False,
+        boundary: bool = False,
     ) -> None:
         degree = whole_number("degree", degree, 1)
-        check_triangulation(tri)
+        check_triangulation(tri, boundary)
         rule = triangle_rule(2 * degree if exactness is None else exactness)
         vertices = np.array(tri.vertices, dtype=float)
         faces = np.array(tri.faces, dtype=np.int64)
@@ -117,7 +142,7 @@ class SurfaceSpace:
             raise ValueError("project_vertices needs a project, (n, 3) -> (n, 3)")
         first = 0 if project_vertices else len(vertices)
         nodes = place_nodes(vertices, faces, cells, degree, project, first)
-        if project_vertices and (found := fault(nodes[: len(vertices)], faces)):
+        if project_vertices and (found := fault(nodes[: len(vertices)], faces, boundary)):
             raise ValueError(
                 f"project makes the triangulation unfit: {found.text}; tri must be so near the "
                 "surface that no triangle folds over: project_vertices=False leaves its vertices"
@@ -132,6 +157,7 @@ class SurfaceSpace:
         exactness: int | None = None,
         *,
         order: NodeOrder = "vtk",
+        boundary: bool = False,
     ) -> "SurfaceSpace":
         """The space of given nodes and elements, curved or flat.
 
@@ -148,6 +174,8 @@ class SurfaceSpace:
             Order of the nodes of an element. On triangles these three have the same: corners 0,
             1, 2, nodes on the edges from 0 to 1, from 1 to 2 and from 2 to 0, then the interior,
             which is the same pattern for k - 3.
+        boundary : bool
+            As for the class.
 
         Returns
         -------
@@ -168,6 +196,7 @@ class SurfaceSpace:
         SurfaceSpace(degree=3, nodes=578, cells=128, quadrature points per cell=12)
         """
         one_of("order", order, NodeOrder)
+        boundary = flag("boundary", boundary)
         nodes = np.array(finite_array("nodes", nodes, ("N", 3)))
         cells = np.array(integer_array("cells", cells, ("T", "n")))
         degree = (isqrt(8 * cells.shape[1] + 1) - 3) // 2
@@ -190,17 +219,19 @@ class SurfaceSpace:
             )
         corners, faces = np.unique(cells[:, :3], return_inverse=True)
         faces = faces.reshape(-1, 3)
-        turned = _turned(nodes[corners], faces)
+        turned = _turned(nodes[corners], faces, boundary)
         cells[turned] = cells[turned][:, mirrored(degree)]
         faces[turned] = faces[turned][:, [0, 2, 1]]
-        found = fault(nodes[corners], faces)
+        found = fault(nodes[corners], faces, boundary)
         if found is not None:
+            advice = found.advice
+            if found.text.startswith("the surface is not closed"):
+                advice = (
+                    "neighbours must share their nodes, and SurfaceSpace.read makes one of nodes "
+                    f"at the same place{boundary_advice(nodes[corners], faces)}"
+                )
             raise ValueError(
-                f"the corners of the elements are no fit triangulation: {found.text}; neighbours "
-                "must share their nodes, and SurfaceSpace.read makes one of nodes at the same place"
-                if found.text.startswith("the surface is not closed")
-                else f"the corners of the elements are no fit triangulation: {found.text}; "
-                f"{found.advice}"
+                f"the corners of the elements are no fit triangulation: {found.text}; {advice}"
             )
         check_cells(cells, faces, degree, len(nodes))
         space = cls.__new__(cls)
@@ -216,6 +247,7 @@ class SurfaceSpace:
         exactness: int | None = None,
         *,
         report: Callable[[str], object] | None = print,
+        boundary: bool = False,
     ) -> "SurfaceSpace":
         """The space of the triangular elements of a file, of any degree, curved as they are.
 
@@ -230,6 +262,8 @@ class SurfaceSpace:
             As for the class.
         report : callable, optional
             Is told what was found and done, in lines of text.
+        boundary : bool
+            As for the class.
 
         Returns
         -------
@@ -245,7 +279,7 @@ class SurfaceSpace:
         """
         found = curved_elements(source)
         [(_, cells)] = found.cells
-        space = cls.from_nodes(found.points, cells, exactness, order="meshio")
+        space = cls.from_nodes(found.points, cells, exactness, order="meshio", boundary=boundary)
         if report:
             report(
                 f"{found.name}: degree {space.degree}, {len(space.nodes)} nodes, {len(cells)} cells"
@@ -261,6 +295,7 @@ class SurfaceSpace:
         """What both constructors do in the end."""
         keep_freed_memory()
         self.nodes, self.cells, self.degree, self.rule = nodes, cells, degree, rule
+        self.boundary_nodes = boundary_nodes(cells, degree)
         self.tables = ElementTables(tabulate(degree, rule.points), rule)
         self._chunks = list(chunks(len(self.cells), len(self.tables.gradients) // 2))
         self._scatter = SparsePattern(self.cells, self.tables.pairs, len(self.nodes), self._chunks)
@@ -269,6 +304,7 @@ class SurfaceSpace:
         self._cells_last = np.ascontiguousarray(self.cells.T)  # (n, T)
         self.nodes.setflags(write=False)
         self.cells.setflags(write=False)
+        self.boundary_nodes.setflags(write=False)
 
     def __repr__(self) -> str:
         return (
@@ -597,9 +633,10 @@ class SurfaceSpace:
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)
 
 
-def _turned(vertices: Array, faces: Ints) -> Bools:
+def _turned(vertices: Array, faces: Ints, boundary: bool) -> Bools:
     """Which elements to turn; none if no turning helps."""
     none = np.zeros(len(faces), dtype=bool)
-    if len(faces) == 0 or (sides_of(faces).times != 2).any():
+    times = sides_of(faces).times
+    if len(faces) == 0 or (times > 2).any() or (not boundary and (times == 1).any()):
         return none
     return turned_to_outside(vertices, faces) if turned_to_agree(faces)[1].all() else none

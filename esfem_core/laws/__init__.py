@@ -1,6 +1,7 @@
 """How a surface moves, and what moves with it: one law, one file."""
 
 from esfem_core.laws.dynamic import Dynamic
+from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.prescribed import Prescribed
@@ -13,6 +14,7 @@ from esfem_core.laws.volume_preserving import VolumePreserving
 __all__ = [
     "Dynamic",
     "Elastic",
+    "Fixed",
     "Law",
     "MeanCurvature",
     "Part",

@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, finite_array, number, shown
 from esfem_core.elements import NotFiniteError, Surface, combination
+from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
 
 __all__ = ["Part", "Species"]
@@ -68,6 +69,11 @@ class Species:
     every step only while abs(c) < D/(2^p - 1). D = 0 is well posed, but a conserved species then
     feels the divergence of the interpolated velocity undamped: its order in space is k in L2.
 
+    At a boundary with conormal mu the natural condition is mu . (D grad u - flux) = 0: nothing
+    passes, and without source the amount of a conserved species is kept. With `fixed`, u itself is
+    given there and the weak form holds for phi that are zero there (Dirichlet's condition); what
+    passes changes the amount.
+
     Parameters
     ----------
     initial : callable, array, float or None
@@ -86,6 +92,12 @@ class Species:
     conserved : bool
         If False, the equation has no u div v: for quantities like a temperature of its own, or a
         normal vector, that are carried, but not diluted.
+    fixed : float, callable or pair, optional
+        Values at the boundary: a number, or ``fixed(x, t)`` of the positions, (B, 3), of its nodes
+        at time t, returning (B,) or (B, m). Or a pair (nodes, values): numbers of nodes, (B,), or a
+        bool for each, (N,), on a part of the boundary or anywhere; and a number, (B, ...) values or
+        a function. Steps keep them exactly; `initial` stays as it is: other values there are a jump
+        at the start. None for the natural condition.
 
     Raises
     ------
@@ -97,6 +109,21 @@ class Species:
     >>> import esfem_core as ec
     >>> ec.Species(1.0, source=lambda at: -at.u, diffusivity=0.1).conserved
     True
+
+    Warm at one half of the boundary of a hemisphere, insulated at the other:
+
+    >>> tri = ec.sphere("octahedron", 2)
+    >>> tri.update_faces(tri.triangles_center[:, 2] > 0)
+    >>> tri.remove_unreferenced_vertices()
+    >>> space = ec.SurfaceSpace(tri, 2, ec.to_unit_sphere, boundary=True)
+    >>> b = space.boundary_nodes
+    >>> warm = b[space.nodes[b, 0] >= 0]
+    >>> law = ec.laws.Prescribed(motion=lambda p, t: (1 + t) * p)
+    >>> species = {"u": ec.Species(1.0, conserved=False, fixed=(warm, lambda x, t: 1 + t))}
+    >>> problem = ec.Problem(species=species, law=law)
+    >>> *_, last = ec.evolve(space, problem, order=2, step=1 / 10, end=1.0)
+    >>> bool((last.u[warm] == 2).all()), bool(last.u.min() < 2)
+    (True, True)
     """
 
     initial: Callable[[Array], ArrayLike] | ArrayLike | None
@@ -104,6 +131,7 @@ class Species:
     rate: float | Callable[[Surface], Array] | None = None
     diffusivity: float | Array | Callable[[Surface], Array] = 1.0
     conserved: bool = True
+    fixed: Any = None
 
     def __post_init__(self) -> None:
         if self.source is not None and not callable(self.source):
@@ -128,6 +156,8 @@ class Species:
                 object.__setattr__(self, name, own)
         if not isinstance(self.conserved, bool | np.bool_):
             raise TypeError(f"conserved must be True or False, got {shown(self.conserved)}")
+        if self.fixed is not None:
+            object.__setattr__(self, "fixed", Fixed.of(self.fixed))
 
     def initial_values(self, x: Array, name: str = "initial") -> Array:
         """Nodal values at the nodes x, (N, 3), at the start.

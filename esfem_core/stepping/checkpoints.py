@@ -342,6 +342,7 @@ def _write(path: Path, space: SurfaceSpace, states: Sequence[State]) -> None:
         "kind": KIND,
         "version": VERSION,
         "exactness": space.rule.exactness,
+        "boundary": len(space.boundary_nodes) > 0,
         "states": listed,
         "shapes": {name: array.shape for name, array in arrays.items()},
     }
@@ -373,7 +374,12 @@ def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpa
         kind = "i" if name == "cells" else "f"
         if found.dtype.kind != kind or list(found.shape) != shape:
             raise ValueError(f"{name} has type {found.dtype} and shape {found.shape}, not {shape}")
-    space = SurfaceSpace.from_nodes(arrays["nodes"], arrays["cells"], header["exactness"])
+    space = SurfaceSpace.from_nodes(
+        arrays["nodes"],
+        arrays["cells"],
+        header["exactness"],
+        boundary=header.get("boundary", False),  # files of versions without boundaries
+    )
     if not np.array_equal(space.cells, arrays["cells"]):
         raise ValueError("elements are oriented inwards, or against each other")
     states = []

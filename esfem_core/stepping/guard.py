@@ -42,15 +42,19 @@ class Guard:
         self._corners = np.ascontiguousarray(space.cells[:, :3].T)
         self._component = _components(self._corners, len(space.nodes))
         self._several = bool(self._component.any())
+        at_boundary = np.isin(self._corners, space.boundary_nodes).any(axis=0)
+        self._closed = ~np.isin(np.arange(self._component.max() + 1), self._component[at_boundary])
         self._growth = growth
         self._size = {name: float(np.abs(w).max()) for name, w in fields.items()}
         self._warned: set[str] = set()
         self._normal, volume, sides = self._triangles(x)
-        self._inside_out = volume < 0  # cavities
+        self._inside_out = (volume < 0) & self._closed  # cavities
         self._narrow = min(NARROW, 0.5 * float(_shapes(self._normal, sides).min()))
 
     def check_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
+
+        Components with a boundary have no inside.
 
         Raises
         ------
@@ -70,7 +74,7 @@ class Guard:
                 "changed by more than a right angle within a step",
                 element,
             )
-        inside_out = volume < 0
+        inside_out = (volume < 0) & self._closed
         if (inside_out != self._inside_out).any():
             component = int(np.argmax(inside_out != self._inside_out))
             element = int(np.argmax(self._component == component))

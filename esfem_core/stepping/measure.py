@@ -19,7 +19,7 @@ class Measures(NamedTuple):
     ----------
     t : float
     area, volume : float
-        Of Γ_h[x], and what it encloses.
+        Of Γ_h[x], and what it encloses: NaN if it has a boundary.
     centre : (3,) float array
         Mean of the positions over the surface.
     h : float
@@ -75,12 +75,14 @@ def measure(state: State) -> Measures:
     at = state.surface()
     area = float(at.integral(1.0))
     centre = at.integral(at.points) / area
+    closed = len(at.space.boundary_nodes) == 0
+    third = at.integral(((at.points - centre) * at.normal).sum(axis=-1)) / 3
     amounts = {name: at.integral(at[name]) for name in state.fields}
     corners = state.x[at.space.cells[:, :3]]
     return Measures(
         t=state.t,
         area=area,
-        volume=float(at.integral(((at.points - centre) * at.normal).sum(axis=-1))) / 3,
+        volume=float(third) if closed else float("nan"),
         centre=centre,
         h=at.space.mesh_size(state.x),
         min_angle=_smallest_angle(corners),

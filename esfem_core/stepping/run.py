@@ -133,7 +133,8 @@ def evolve(
     Raises
     ------
     ValueError
-        If an argument is out of range; at the call, before anything is computed.
+        If an argument is out of range, or the surface has a boundary that is to be moved by another
+        law than :class:`esfem_core.laws.Prescribed`; at the call, before anything is computed.
     ImportError
         If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
@@ -177,6 +178,8 @@ def evolve(
     systems = Systems(make_solver, space.pattern, statistics or Statistics())
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
+    for name, values in first.fields.items():
+        scheme.fixed(name, first.x, first.t, values)  # refused here, not in the first step
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     return states if file is None else saving(states, file, every, order)
@@ -309,6 +312,12 @@ def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
     law: object = problem.law
     if hasattr(law, "position"):
         _check_start_of_motion(space, law.position)
+    elif len(space.boundary_nodes):
+        raise ValueError(
+            f"law must prescribe the motion of a surface with a boundary, got {law!r}: an equation "
+            "for the velocity, or a slip along the surface, needs a condition at the boundary, "
+            "which no law states; laws.Prescribed(motion=X) or (velocity=v) moves it"
+        )
     while hasattr(law, "law"):  # with a slip, or at constant volume
         law = law.law
     if isinstance(law, Regularised) and law.alpha == 0 < law.beta:

@@ -8,7 +8,8 @@ species of the problem, whose mass matrices may therefore be those of the new su
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolate
+from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
 from esfem_core.stepping.state import EvolutionError, Method, State
 from esfem_core.stepping.systems import GUESS, Systems, stacked
@@ -99,6 +101,25 @@ class Scheme:
     systems: Systems
     perturbation: Perturbation | None = None
     _used: frozenset[tuple[str, str]] = frozenset()
+    _conditions: dict[str, Condition] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._conditions = conditions(self.space, self.problem.all_species)
+
+    def fixed(self, name: str, x: Array, t: float, values: Array) -> Array:
+        """Nodal values of a species, with those in place that are given at positions x and time t.
+
+        Raises
+        ------
+        ValueError, TypeError, FloatingPointError
+            If given values have another shape, or are not real or not finite.
+        """
+        elimination = self._elimination(name)
+        if elimination is None:
+            return values
+        values, nodes = values.copy(), elimination.nodes
+        values[nodes] = self._given(name, x, t, values)[nodes]
+        return values
 
     def steps(
         self,
@@ -177,7 +198,7 @@ class Scheme:
         for name, one in species.items():
             loads[name] = levels.load(name, one)
             for i, part in enumerate(one.parts(at, loads[name].shape[1:])):
-                key = (one.conserved, part.key) if part.key else (name, i)
+                key = (one.conserved, part.key, self._elimination(name)) if part.key else (name, i)
                 groups.setdefault(key, []).append((name, part))
         new = {name: np.empty_like(b) for name, b in loads.items()}
         for members in groups.values():
@@ -187,9 +208,12 @@ class Scheme:
             b, apart = stacked([loads[name][index] for name, index in picked])
             guess, _ = stacked([levels.guess(name)[index] for name, index in picked])
             kind = " and ".join(_called(name, part) for name, part in members)
-            for (name, index), w in zip(
-                picked, apart(self.systems.solve(kind, K, b, guess)), strict=True
-            ):
+            solve = partial(self.systems.solve, kind)
+            elimination = self._elimination(members[0][0])
+            if elimination is not None:
+                given, _ = stacked([self._given(name, x, at.t, new[name])[i] for name, i in picked])
+                solve = partial(elimination.solve, solve, given=given)
+            for (name, index), w in zip(picked, apart(solve(K, b, guess)), strict=True):
                 new[name][index] = w
         products = {
             name: self.space.mass_times(x, new[name])
@@ -199,6 +223,14 @@ class Scheme:
             if one.conserved
         }
         return new, products
+
+    def _elimination(self, name: str) -> Elimination | None:
+        """What takes the given values of a species out of its systems, if it has some."""
+        condition = self._conditions.get(name)
+        return None if condition is None else condition.elimination
+
+    def _given(self, name: str, x: Array, t: float, like: Array) -> Array:
+        return self._conditions[name].values(name, x, t, like.shape)
 
     def _law_solver(self, extra: Array | None) -> Callable[[csr_array, Array], Array]:
         """What a law gets to solve with; its first right-hand side is perturbed by r_v."""

@@ -118,4 +118,5 @@ def _state(scheme: Scheme, t: float, values: Values, near: State) -> State:
         if species.conserved:
             M = space.mass(x) if M is None else M
             fields[name] = scheme.systems.solve("start", M, values[name], near[name])
+        fields[name] = scheme.fixed(name, x, t, fields[name])
     return State(t, x, None, space=space, fields=fields)

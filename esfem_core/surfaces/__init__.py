@@ -4,7 +4,7 @@ A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or
 """
 
 from esfem_core.surfaces import exact_surfaces
-from esfem_core.surfaces.check import check_triangulation
+from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
 from esfem_core.surfaces.faults import FLATTEST, Fault, fault
@@ -24,6 +24,7 @@ __all__ = [
     "MeshingError",
     "Quality",
     "bisected_sphere",
+    "boundary_advice",
     "central_gradient",
     "central_stencil",
     "check_triangulation",

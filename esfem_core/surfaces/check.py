@@ -1,15 +1,16 @@
-"""What a mesh must be for the theory: closed, oriented outwards, of proper triangles."""
+"""What a mesh must be: oriented outwards, of proper triangles, and for the theory closed."""
 
 import numpy as np
 import trimesh
 
+from esfem_core.checks import Array, Ints, flag
 from esfem_core.surfaces.faults import check_is_trimesh, fault
 from esfem_core.surfaces.repair import remedy
 
-__all__ = ["check_triangulation"]
+__all__ = ["boundary_advice", "check_triangulation"]
 
 
-def check_triangulation(tri: trimesh.Trimesh) -> None:
+def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     """Refuse a mesh that is not a closed, outward oriented surface of proper triangles.
 
     Checked in this order: finite vertices, each in some triangle; triangles with three different
@@ -21,6 +22,9 @@ def check_triangulation(tri: trimesh.Trimesh) -> None:
     Parameters
     ----------
     tri : trimesh.Trimesh
+    boundary : bool
+        Accept edges of one triangle as well. A component that has some encloses no volume, and
+        may be oriented either way, neighbours alike.
 
     Raises
     ------
@@ -36,9 +40,30 @@ def check_triangulation(tri: trimesh.Trimesh) -> None:
     Traceback (most recent call last):
         ...
     ValueError: the surface is not closed: edge (0, 1) of triangle 0 belongs to 1 triangle...
+    >>> check_triangulation(
+    ...     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]), boundary=True
+    ... )
     """
     check_is_trimesh("tri", tri)
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
-    found = fault(vertices, faces)
-    if found is not None:
-        raise ValueError(f"{found.text}; {remedy(vertices, faces, found)}")
+    found = fault(vertices, faces, flag("boundary", boundary))
+    if found is None:
+        return
+    if boundary:  # a repair would close it
+        raise ValueError(f"{found.text}; {found.advice}")
+    advice = remedy(vertices, faces, found) + boundary_advice(vertices, faces)
+    raise ValueError(f"{found.text}; {advice}")
+
+
+def boundary_advice(vertices: Array, faces: Ints) -> str:
+    """What else can be done about a mesh whose only fault is its boundary, as an end of a message.
+
+    Examples
+    --------
+    >>> boundary_advice(np.eye(3), np.array([[0, 1, 2]]))
+    '; where the motion is prescribed, boundary=True takes the surface as it is'
+    """
+    apart = len(np.unique(vertices + 0.0, axis=0)) < len(vertices)  # to be merged, not left open
+    if apart or fault(vertices, faces, boundary=True) is not None:
+        return ""
+    return "; where the motion is prescribed, boundary=True takes the surface as it is"

@@ -8,7 +8,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Bools, Ints, shown
-from esfem_core.surfaces.orientation import Sides, shells, sides_of, turned_to_agree
+from esfem_core.surfaces.orientation import (
+    Sides,
+    open_components,
+    shells,
+    sides_of,
+    turned_to_agree,
+)
 
 __all__ = [
     "FLATTEST",
@@ -63,7 +69,7 @@ class Fault(NamedTuple):
     repairable: bool = True
 
 
-def fault(vertices: Array, faces: Ints) -> Fault | None:
+def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
     Looked for in this order: triangles; finite vertices, each in some triangle; triangles with
@@ -75,6 +81,9 @@ def fault(vertices: Array, faces: Ints) -> Fault | None:
     ----------
     vertices : (n, 3) float array
     faces : (T, 3) int array
+    boundary : bool
+        Whether edges may belong to one triangle only. Components with such edges enclose nothing,
+        and have no outside.
 
     Returns
     -------
@@ -84,6 +93,8 @@ def fault(vertices: Array, faces: Ints) -> Fault | None:
     --------
     >>> fault(np.eye(3), np.array([[0, 1, 2]])).text
     'the surface is not closed: edge (0, 1) of triangle 0 belongs to 1 triangle (3 such edges)'
+    >>> fault(np.eye(3), np.array([[0, 1, 2]]), boundary=True) is None
+    True
     """
     if len(faces) == 0:
         return Fault(
@@ -95,10 +106,10 @@ def fault(vertices: Array, faces: Ints) -> Fault | None:
     return (
         _of_vertices(vertices, faces)
         or _of_triangles(vertices, faces)
-        or _of_edges(vertices, faces, sides)
+        or _of_edges(vertices, faces, sides, boundary)
         or _of_neighbours(faces, sides)
-        or _of_fans(len(vertices), faces)
-        or _of_shells(vertices, faces)
+        or _of_fans(len(vertices), faces, sides)
+        or _of_shells(vertices, faces, sides)
     )
 
 
@@ -224,10 +235,10 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
     )
 
 
-def _of_edges(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
+def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fault | None:
     if (sides.times != 2).any() and (elements := _of_elements(vertices, faces)):
         return elements
-    for bad in (sides.times == 1, sides.times > 2):
+    for bad in ((sides.times == 1) & (not boundary), sides.times > 2):
         if not bad.any():
             continue
         e = int(np.argmax(bad))
@@ -267,14 +278,14 @@ def _of_neighbours(faces: Ints, sides: Sides) -> Fault | None:
     )
 
 
-def _of_fans(n_vertices: int, faces: Ints) -> Fault | None:
-    fan = fans(faces, sides_of(faces).pairs())
+def _of_fans(n_vertices: int, faces: Ints, sides: Sides) -> Fault | None:
+    fan = fans(faces, sides.pairs())
     first = np.unique(fan, return_index=True)[1]  # corner of each fan
     if len(first) == n_vertices:
         return None
     fans_at = np.bincount(faces.ravel()[first], minlength=n_vertices)
     i = int(np.argmax(fans_at > 1))
-    euler = n_vertices - faces.size // 2 + len(faces)
+    euler = n_vertices - (int(sides.edge.max()) + 1) + len(faces)
     return Fault(
         f"vertex {i} joins {fans_at[i]} separate fans of triangles: the surface touches itself "
         f"there (Euler number {euler})",
@@ -282,13 +293,17 @@ def _of_fans(n_vertices: int, faces: Ints) -> Fault | None:
     )
 
 
-def _of_shells(vertices: Array, faces: Ints) -> Fault | None:
-    found = shells(vertices, faces)
+def _of_shells(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
+    closed = np.flatnonzero(~open_components(faces, sides))
+    if len(closed) == 0:
+        return None
+    found = shells(vertices, faces[closed])
     count = len(found.volume)
+    kind = "component" if len(closed) == len(faces) else "closed component"
     if found.flat.any():
         c = int(np.argmax(found.flat))
-        what = f"component {c} of {count}" if count > 1 else "the surface"
-        t = int(np.argmax(found.label == c))
+        what = f"{kind} {c} of {count}" if count > 1 else "the surface"
+        t = closed[np.argmax(found.label == c)]
         return Fault(
             f"{what}, with triangle {t}, encloses no volume",
             "a sheet of triangles is no surface of a body: give it a thickness",
@@ -297,20 +312,20 @@ def _of_shells(vertices: Array, faces: Ints) -> Fault | None:
     if not wrong.any():
         return None
     c = int(np.argmax(wrong))
-    t, volume, depth = int(np.argmax(found.label == c)), found.volume[c], found.depth[c]
-    if count == 1:
+    t, volume, depth = closed[np.argmax(found.label == c)], found.volume[c], found.depth[c]
+    if count == 1 and len(closed) == len(faces):
         return Fault(
             f"the triangles are oriented inwards (enclosed volume {volume:.3g})",
             "call tri.invert()",
         )
     if depth % 2:
         return Fault(
-            f"component {c} of {count}, with triangle {t}, lies inside {depth} "
+            f"{kind} {c} of {count}, with triangle {t}, lies inside {depth} "
             f"other{'s' if depth > 1 else ''}: it is a cavity, but oriented outwards",
             "turn it; a surface of its own, inside another, needs a triangulation of its own",
         )
     return Fault(
-        f"component {c} of {count}, with triangle {t}, is oriented inwards (enclosed volume "
+        f"{kind} {c} of {count}, with triangle {t}, is oriented inwards (enclosed volume "
         f"{volume:.3g}), but is no cavity of another",
         "turn it",
     )

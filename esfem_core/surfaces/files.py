@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 
 from esfem_core.checks import Array, Ints, shown
+from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.repair import counted, merged, remedy, without_unused
@@ -144,6 +145,7 @@ def read_mesh(
             "fit for ec.SurfaceSpace"
             if wrong is None
             else f"not fit as it is: {wrong.text}; {remedy(vertices, faces, wrong)}"
+            f"{boundary_advice(vertices, faces)}"
         )
     return made
 

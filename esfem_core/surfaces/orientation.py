@@ -16,6 +16,7 @@ __all__ = [
     "Shells",
     "Sides",
     "components",
+    "open_components",
     "shells",
     "sides_of",
     "turned_to_agree",
@@ -83,6 +84,22 @@ def components(faces: Ints) -> Ints:
     of_vertex = connected_components(graph, directed=False)[1]
     _, label = np.unique(of_vertex[faces[:, 0]], return_inverse=True)
     return np.asarray(label.ravel(), dtype=np.int64)
+
+
+def open_components(faces: Ints, sides: Sides) -> Bools:
+    """Which triangles belong to a component with a boundary, (T,).
+
+    Examples
+    --------
+    >>> faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2], [5, 6, 7]])
+    >>> open_components(faces, sides_of(faces)).tolist()
+    [False, False, False, False, True]
+    """
+    at_boundary = (sides.times == 1).reshape(-1, 3).any(axis=1)
+    if not at_boundary.any():
+        return np.asarray(at_boundary)
+    label = components(faces)
+    return np.asarray(np.isin(label, label[at_boundary]))
 
 
 def turned_to_agree(faces: Ints) -> tuple[Bools, Bools]:
@@ -175,7 +192,10 @@ def shells(vertices: Array, faces: Ints) -> Shells:
 
 
 def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
-    """Which triangles of a closed orientable surface to turn so that it is oriented as it must be.
+    """Which triangles of an orientable surface to turn so that it is oriented as it must be.
+
+    Those of a closed component so that it is oriented outwards, or inwards if it is a cavity;
+    those of one with a boundary so that neighbours agree and most triangles stay.
 
     Examples
     --------
@@ -185,9 +205,12 @@ def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
     np.True_
     """
     turned, _ = turned_to_agree(faces)
-    alike = np.where(turned[:, None], faces[:, ::-1], faces)
-    found = shells(vertices, alike)
-    return turned ^ found.wrong()[found.label]
+    closed = ~open_components(faces, sides_of(faces))
+    if closed.any():
+        alike = np.where(turned[:, None], faces[:, ::-1], faces)
+        found = shells(vertices, alike[closed])
+        turned[closed] ^= found.wrong()[found.label]
+    return turned
 
 
 def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:
