@@ -24,8 +24,8 @@ class TangentPlanes:
     Parameters
     ----------
     at : Surface
-    spacing : float
-        Between the points that are looked up.
+    spacing : float or (T,) float array
+        Between the points that are looked up, on each element.
 
     Attributes
     ----------
@@ -48,8 +48,9 @@ class TangentPlanes:
     array([[0.33, 0.67, 0.67]])
     """
 
-    def __init__(self, at: Surface, spacing: float) -> None:
-        spacing = number("spacing", spacing, above=0)
+    def __init__(self, at: Surface, spacing: float | Array) -> None:
+        if np.ndim(spacing) == 0:
+            spacing = number("spacing", spacing, above=0)
         space = at.space
         normal = nodal_average(at, at.normal)
         self.nodal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -57,10 +58,11 @@ class TangentPlanes:
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         parts = 2 ** np.ceil(np.log2(np.maximum(longest / spacing, 1))).astype(int)
         parts = np.minimum(parts, FINEST)
-        points, normals = [], []
+        points, normals, self._where = [], [], []
         for n in np.unique(parts):
             cells = space.cells[parts == n]
             values = tabulate(space.degree, _centres(int(n))).values
+            self._where.append((values, cells))
             points.append((values @ at.x[cells]).reshape(-1, 3))
             normals.append((values @ self.nodal[cells]).reshape(-1, 3))
         self._points = np.concatenate(points)
@@ -77,6 +79,13 @@ class TangentPlanes:
     def normal(self, x: Array) -> Array:
         """Unit normals near points (n, 3), (n, 3)."""
         return np.asarray(self._normals[self._tree.query(x)[1]])
+
+    def values(self, nodal: Array, x: Array) -> Array:
+        """Values near points (n, 3) of a function given at the nodes, (N,): (n,)."""
+        many = np.concatenate(
+            [(values @ nodal[cells].T).T.ravel() for values, cells in self._where]
+        )
+        return np.asarray(many[self._tree.query(x)[1]])
 
     def near(self, x: Array) -> Array:
         """Points (n, 3) moved to the planes, (n, 3)."""

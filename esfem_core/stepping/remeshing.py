@@ -6,12 +6,13 @@ and what is smooth in time remains so: a run of order p goes on from p states as
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 import trimesh
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from esfem_core.checks import Array, Ints, number, shown
 from esfem_core.elements import (
@@ -19,6 +20,7 @@ from esfem_core.elements import (
     SurfaceSpace,
     TangentPlanes,
     closest_points,
+    nodal_average,
     tabulate,
 )
 from esfem_core.problems import Problem
@@ -32,6 +34,7 @@ FEWEST = 20  # triangles that a component must have room for, as many as an icos
 MOST = 10**6  # triangles
 SPACING = 0.25  # of the points that stand for the old surface, over h
 ROUNDS = 15
+FINEST, RADII, SLOPE = 1 / 8, 0.7, 0.4  # of lengths of edges, see _share
 LEAST_ANGLE = 15.0  # degrees: what is worse is no help
 MAX_TURN = 0.5  # smallest cosine between normals of a new element and of the old surface
 
@@ -282,17 +285,13 @@ def _triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
     """Triangulate Γ_h[x] anew."""
     at = Surface(space, x)
     _check_room(at, h)
-    planes = TangentPlanes(at, SPACING * h)
-    guide = Guide(planes.distance, planes.normal, planes.near)
+    share = _share(at, h)
+    planes = TangentPlanes(at, SPACING * h * share[space.cells].min(axis=1))
+    guide = Guide(planes.distance, planes.normal, planes.near, partial(planes.values, share))
     vertices, faces = x[_corners(space)], _faces(space)
-    try:
-        found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS)
-        transfer = _transfer(space, x, planes.nodal, found, h)
-    except ValueError as error:
-        bending = np.abs(space.gradient(x, planes.nodal)).sum(axis=-1).max()
-        raise ValueError(
-            f"{error}; the smallest radius of curvature is about {1 / bending:.2g}: take h below that"
-        ) from error
+    turn = min(MAX_TURN, _least_cosine(at, planes.nodal))
+    found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS, turn)
+    transfer = _transfer(space, x, planes.nodal, found, h, turn)
     if found.quality.min_angle < LEAST_ANGLE:
         raise MeshingError(
             f"after {ROUNDS} rounds the smallest angle is {found.quality.min_angle:.1f} degrees "
@@ -301,7 +300,43 @@ def _triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
     return transfer
 
 
-def _transfer(space: SurfaceSpace, x: Array, normal: Array, found: Evened, h: float) -> Transfer:
+def _share(at: Surface, h: float) -> Array:
+    """Wanted lengths of edges over h at the nodes, (N,).
+
+    They are 1, or less where the surface bends: `RADII` radii of curvature, but at least `FINEST` h
+    and the shortest edge of the old element, which says how well the surface is known. From there
+    they grow with a slope of at most `SLOPE`.
+    """
+    space = at.space
+    normal = nodal_average(at, at.normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    bending = np.linalg.norm(space.gradient(at.x, normal), axis=(2, 3)).max(axis=1)
+    lengths = np.full(len(at.x), h)
+    corners = at.x[space.cells[:, :3]]
+    own = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
+    least = np.clip(own, FINEST * h, h)
+    wanted = np.clip(RADII / np.maximum(bending, 1e-300), least, h)
+    np.minimum.at(lengths, space.cells, wanted[:, None])
+
+    # Paths over edges between nodes, from a point that is as far away from each as its length.
+    i, j = space.pattern.nonzero()
+    n, away = len(lengths), SLOPE * np.linalg.norm(at.x[i] - at.x[j], axis=1)
+    graph = coo_array(
+        (np.r_[away, lengths], (np.r_[i, np.full(n, n)], np.r_[j, np.arange(n)])), (n + 1, n + 1)
+    )
+    graded = np.asarray(dijkstra(graph.tocsr(), indices=[n]))[0, :n]
+    return np.asarray(graded / h)
+
+
+def _least_cosine(at: Surface, normal: Array) -> float:
+    """How much normals turn within the elements, at most."""
+    n = at.space.evaluate(normal)
+    return float(np.einsum("tqi,tqi->tq", at.normal, n).min())
+
+
+def _transfer(
+    space: SurfaceSpace, x: Array, normal: Array, found: Evened, h: float, turn: float
+) -> Transfer:
     """Give new triangles nodes on the old surface, and check that they follow it."""
     vertices = closest_points(space, x, found.vertices).points
     flat = SurfaceSpace(trimesh.Trimesh(vertices, found.faces, process=False), space.degree)
@@ -322,7 +357,7 @@ def _transfer(space: SurfaceSpace, x: Array, normal: Array, found: Evened, h: fl
     worst = int(np.argmin(cosine))
     component = _components(space)[space.cells[at.cell, 0]]
     torn = (component[flat.cells] != component[flat.cells[:, :1]]).any(axis=1)
-    if torn.any() or not cosine[worst] > MAX_TURN:
+    if torn.any() or not cosine[worst] > turn:
         worst = int(np.argmax(torn)) if torn.any() else worst
         place = corners[worst].mean(axis=0).round(3).tolist()
         raise ValueError(

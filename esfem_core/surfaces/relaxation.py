@@ -28,7 +28,7 @@ MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surfa
 # For another length of edges: halves of edges longer than 4/3 h are nearer to h, and edges shorter
 # than 4/5 h after a collapse (M. Botsch, L. Kobbelt 2004).
 TOO_SHORT, TOO_LONG = 4 / 5, 4 / 3
-RESIZINGS, SWEEPS = 4, 60
+RESIZINGS, SWEEPS = 3, 20
 
 
 class Guide(NamedTuple):
@@ -42,11 +42,18 @@ class Guide(NamedTuple):
         (n, 3) -> (n, 3), of `distance`; along the normal.
     project : callable
         (n, 3) -> (n, 3), to the surface, or as near to it as is wanted.
+    share : callable, optional
+        (n, 3) -> (n,), the wanted length of edges there over h, at most 1; 1 if None.
     """
 
     distance: Field
     gradient: Field
     project: Field
+    share: Field | None = None
+
+    def lengths(self, x: Array, h: float) -> Array:
+        """Wanted lengths of edges at points (n, 3), (n,)."""
+        return np.full(len(x), h) if self.share is None else h * self.share(x)
 
 
 class Evened(NamedTuple):
@@ -68,7 +75,14 @@ class Evened(NamedTuple):
     good: bool
 
 
-def evened(x: Array, faces: Ints, guide: Guide, h: float, rounds: int = MAX_ROUNDS) -> Evened:
+def evened(
+    x: Array,
+    faces: Ints,
+    guide: Guide,
+    h: float,
+    rounds: int = MAX_ROUNDS,
+    turn: float = MAX_TURN,
+) -> Evened:
     """Even out a triangulation whose edges are about of length h, until it is good and settled.
 
     A round is described with :func:`esfem_core.from_level_set`.
@@ -84,6 +98,8 @@ def evened(x: Array, faces: Ints, guide: Guide, h: float, rounds: int = MAX_ROUN
         Positive.
     rounds : int
         At most so many.
+    turn : float
+        Smallest cosine between normals of a triangle and of the surface at its corners.
 
     Returns
     -------
@@ -92,8 +108,8 @@ def evened(x: Array, faces: Ints, guide: Guide, h: float, rounds: int = MAX_ROUN
     Raises
     ------
     ValueError
-        If the surface turns by more than 60 degrees within a triangle, of the final mesh or of one
-        that is not good after five rounds.
+        If the surface turns by more than 60 degrees, or what `turn` says, within a triangle, of
+        the final mesh or of one that is not good after five rounds.
 
     Examples
     --------
@@ -107,21 +123,21 @@ def evened(x: Array, faces: Ints, guide: Guide, h: float, rounds: int = MAX_ROUN
     """
     before = 0.0
     for n in range(rounds):
-        x, faces, changes = _even_out(x, faces, h)
+        x, faces, changes = _even_out(x, faces, guide, h)
         x, faces = _relax(guide.project(x), faces, guide, h)
         x = guide.project(x)
         reached = mesh_quality(trimesh.Trimesh(x, faces, process=False))
         good = (
             reached.min_angle >= MIN_ANGLE
             and reached.mean_ratio >= MEAN_RATIO
-            and reached.h_min >= SHORTEST * h
+            and _shortest(x, faces, guide, h) >= SHORTEST
         )
         if good and not changes and reached.mean_ratio - before < SETTLED:
             break
         before = reached.mean_ratio
         if n >= ROUGH_ROUNDS and not good:
-            _check_curvature(x, faces, guide.gradient, h)
-    _check_curvature(x, faces, guide.gradient, h)
+            _check_curvature(x, faces, guide.gradient, h, turn)
+    _check_curvature(x, faces, guide.gradient, h, turn)
     return Evened(x, faces, reached, good)
 
 
@@ -155,14 +171,15 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
     """
     for _ in range(RESIZINGS):
         for _ in range(SWEEPS):
-            x, faces, changes = split(x, faces, TOO_LONG * h)
+            x, faces, changes = split(x, faces, TOO_LONG * guide.lengths(x, h))
             if not changes:
                 break
             x, faces = _flipped(guide.project(x), faces)
         for _ in range(SWEEPS):
-            lengths = edges_of(faces).lengths(x)
-            priority = np.where(lengths < TOO_SHORT * h, h - lengths, 0)
-            x, faces, changes = collapse(x, faces, priority, TOO_LONG * h)
+            e, wanted = edges_of(faces), guide.lengths(x, h)
+            lengths, middle = e.lengths(x), wanted[e.ends].mean(axis=1)
+            priority = np.where(lengths < TOO_SHORT * middle, middle - lengths, 0)
+            x, faces, changes = collapse(x, faces, priority, TOO_LONG * wanted)
             if not changes:
                 break
             x, faces = _flipped(guide.project(x), faces)
@@ -170,33 +187,41 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
     return x, faces
 
 
-def _even_out(x: Array, faces: Ints, h: float) -> tuple[Array, Ints, int]:
+def _even_out(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints, int]:
     """Collapse short edges and one edge at vertices in fewer than five triangles; split long ones.
 
     New vertices are on edges, not on the surface. Also returns the number of changes.
     """
-    e = edges_of(faces)
-    lengths = e.lengths(x)
+    e, wanted = edges_of(faces), guide.lengths(x, h)
+    lengths, middle = e.lengths(x), wanted[e.ends].mean(axis=1)
     few = np.bincount(faces.ravel())[e.ends].min(axis=1) < 5
-    priority = np.where(lengths < SHORTEST * h, 2 * h - lengths, 0)
-    priority = np.where(few, 10 * h - lengths, priority)
-    x, faces, collapses = collapse(x, faces, priority, LONGEST * h)
-    x, faces, splits = split(x, faces, LONGEST * h)
+    priority = np.where(lengths < SHORTEST * middle, 2 * middle - lengths, 0)
+    priority = np.where(few, 10 * middle - lengths, priority)
+    x, faces, collapses = collapse(x, faces, priority, LONGEST * wanted)
+    x, faces, splits = split(x, faces, LONGEST * guide.lengths(x, h))
     return x, faces, collapses + splits
+
+
+def _shortest(x: Array, faces: Ints, guide: Guide, h: float) -> float:
+    """The smallest length of an edge over what is wanted there."""
+    e, wanted = edges_of(faces), guide.lengths(x, h)
+    return float((e.lengths(x) / wanted[e.ends].mean(axis=1)).min())
 
 
 def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
     """Let edges push their ends apart, and flip edges; vertices end near the surface."""
+    share = guide.lengths(x, h) / h
     for step in range(STEPS):
         if step % 4 == 0:
             flips = 1
             while flips:
                 faces, flips = flip(x, faces)
             i, j = edges_of(faces).ends.T
+            middle = (share[i] + share[j]) / 2
         # Springs shorter than wanted push; as these are 1.2 mean lengths, nearly all are.
         across = x[j] - x[i]
-        squares = np.einsum("ij,ij->i", across, across)
-        wanted = 1.2 * np.sqrt(squares.mean())
+        squares = np.maximum(np.einsum("ij,ij->i", across, across), 1e-300)
+        wanted = 1.2 * np.sqrt((squares / middle**2).mean()) * middle
         push = (0.2 * np.maximum(wanted / np.sqrt(squares) - 1, 0))[:, None] * across
         move = np.stack(
             [np.bincount(j, p, len(x)) - np.bincount(i, p, len(x)) for p in push.T], axis=1
@@ -207,7 +232,7 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
         steepness = np.einsum("ij,ij->i", g, g)
         move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g
         size = np.sqrt(np.einsum("ij,ij->i", move, move))
-        x = x + np.minimum(1, 0.1 * h / np.maximum(size, 1e-3 * h))[:, None] * move
+        x = x + np.minimum(1, 0.1 * h * share / np.maximum(size, 1e-3 * h))[:, None] * move
         x -= (guide.distance(x) / steepness)[:, None] * g
     return x, faces
 
@@ -220,8 +245,8 @@ def _flipped(x: Array, faces: Ints) -> tuple[Array, Ints]:
     return x, faces
 
 
-def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float) -> None:
-    """Refuse triangles that the surface leaves at more than 60 degrees."""
+def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
+    """Refuse triangles that the surface leaves at a larger angle than allowed."""
     a, b, c = x[faces.T]
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -229,9 +254,10 @@ def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float) -> None:
     g /= np.linalg.norm(g, axis=1, keepdims=True)
     cosine = np.einsum("ti,tji->tj", normals, g[faces]).min(axis=1)
     worst = int(np.argmin(cosine))
-    if not cosine[worst] > MAX_TURN:
+    if not cosine[worst] > turn:
         angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
         raise ValueError(
             f"h = {h:g} is too large for this surface: near {x[faces[worst, 0]].round(3).tolist()} "
-            f"it turns by {angle:.0f} degrees within a triangle (allowed: 60)"
+            f"it turns by {angle:.0f} degrees within a triangle "
+            f"(allowed: {np.degrees(np.arccos(turn)):.0f})"
         )
