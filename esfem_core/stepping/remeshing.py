@@ -28,7 +28,7 @@ from esfem_core.stepping.checkpoints import space_of
 from esfem_core.stepping.state import State
 from esfem_core.surfaces import Evened, Guide, MeshingError, edges_of, evened, resized
 
-__all__ = ["Transfer", "remeshed", "transferred"]
+__all__ = ["Transfer", "remeshed", "transferred", "triangulated"]
 
 FEWEST = 20  # triangles that a component must have room for, as many as an icosahedron has
 MOST = 10**6  # triangles
@@ -36,7 +36,7 @@ SPACING = 0.25  # of the points that stand for the old surface, over h
 ROUNDS = 15
 FINEST, RADII, SLOPE = 1 / 8, 0.7, 0.4  # of lengths of edges, see _share
 LEAST_ANGLE = 15.0  # degrees: what is worse is no help
-MAX_TURN = 0.5  # smallest cosine between normals of a new element and of the old surface
+MAX_TURN, SLACK, LAST_TURN = 60.0, 15.0, 120.0  # degrees between old and new normals
 
 
 @overload
@@ -118,7 +118,7 @@ def remeshed(
         edges = edges_of(_faces(space))
         h = float(edges.lengths(x).mean())
     h = number("h", h, above=0)
-    transfer = _triangulated(space, x, h)
+    transfer = triangulated(space, x, h)
     result = transferred(given, transfer, conserved, problem)
     return result[0] if single else result
 
@@ -281,7 +281,7 @@ def _knows_paths(problem: Problem) -> bool:
     )
 
 
-def _triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
+def triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
     """Triangulate Γ_h[x] anew."""
     at = Surface(space, x)
     _check_room(at, h)
@@ -289,7 +289,7 @@ def _triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
     planes = TangentPlanes(at, SPACING * h * share[space.cells].min(axis=1))
     guide = Guide(planes.distance, planes.normal, planes.near, partial(planes.values, share))
     vertices, faces = x[_corners(space)], _faces(space)
-    turn = min(MAX_TURN, _least_cosine(at, planes.nodal))
+    turn = _allowed_turn(at, planes.nodal)
     found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS, turn)
     transfer = _transfer(space, x, planes.nodal, found, h, turn)
     if found.quality.min_angle < LEAST_ANGLE:
@@ -304,8 +304,8 @@ def _share(at: Surface, h: float) -> Array:
     """Wanted lengths of edges over h at the nodes, (N,).
 
     They are 1, or less where the surface bends: `RADII` radii of curvature, but at least `FINEST` h
-    and the shortest edge of the old element, which says how well the surface is known. From there
-    they grow with a slope of at most `SLOPE`.
+    and half the shortest edge of the old element, which says how well the surface is known. From
+    there they grow with a slope of at most `SLOPE`.
     """
     space = at.space
     normal = nodal_average(at, at.normal)
@@ -314,7 +314,7 @@ def _share(at: Surface, h: float) -> Array:
     lengths = np.full(len(at.x), h)
     corners = at.x[space.cells[:, :3]]
     own = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
-    least = np.clip(own, FINEST * h, h)
+    least = np.clip(own / 2, FINEST * h, h)
     wanted = np.clip(RADII / np.maximum(bending, 1e-300), least, h)
     np.minimum.at(lengths, space.cells, wanted[:, None])
 
@@ -328,10 +328,18 @@ def _share(at: Surface, h: float) -> Array:
     return np.asarray(graded / h)
 
 
-def _least_cosine(at: Surface, normal: Array) -> float:
-    """How much normals turn within the elements, at most."""
-    n = at.space.evaluate(normal)
-    return float(np.einsum("tqi,tqi->tq", at.normal, n).min())
+def _allowed_turn(at: Surface, normal: Array) -> float:
+    """Cosine of 60 degrees, or of more where the surface turns by more within old elements."""
+    cells = at.space.cells[:, :3]
+    cosine = np.einsum("ti,tai->ta", _planes(at.x[cells]), normal[cells]).min()
+    found = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return float(np.cos(np.radians(np.clip(found + SLACK, MAX_TURN, LAST_TURN))))
+
+
+def _planes(corners: Array) -> Array:
+    """Unit normals of triangles (T, 3, 3)."""
+    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
 
 
 def _transfer(
@@ -347,8 +355,7 @@ def _transfer(
     P = csr_array((values.ravel(), space.cells[at.cell].ravel(), rows), shape)
 
     corners = vertices[found.faces]
-    plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    plane /= np.linalg.norm(plane, axis=1, keepdims=True)
+    plane = _planes(corners)
     n: Array = np.asarray(P @ normal)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.einsum("ti,tai->ta", plane, n[flat.cells])
