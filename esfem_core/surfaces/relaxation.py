@@ -28,7 +28,7 @@ MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surfa
 # For another length of edges: halves of edges longer than 4/3 h are nearer to h, and edges shorter
 # than 4/5 h after a collapse (M. Botsch, L. Kobbelt 2004).
 TOO_SHORT, TOO_LONG = 4 / 5, 4 / 3
-RESIZINGS, SWEEPS = 3, 20
+RESIZINGS, SWEEPS, FEW = 3, 20, 5
 
 
 class Guide(NamedTuple):
@@ -174,7 +174,8 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
             x, faces, changes = split(x, faces, TOO_LONG * guide.lengths(x, h))
             if not changes:
                 break
-            x, faces = _flipped(guide.project(x), faces)
+            x = _without_folds(x, guide.project(x), faces)
+        x, faces = _flipped(x, faces)  # not before: flips of long edges cut through what is thin
         for _ in range(SWEEPS):
             e, wanted = edges_of(faces), guide.lengths(x, h)
             lengths, middle = e.lengths(x), wanted[e.ends].mean(axis=1)
@@ -182,7 +183,7 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
             x, faces, changes = collapse(x, faces, priority, TOO_LONG * wanted)
             if not changes:
                 break
-            x, faces = _flipped(guide.project(x), faces)
+            x, faces = _flipped(_without_folds(x, guide.project(x), faces), faces)
         x, faces = _relax(x, faces, guide, h)
     return x, faces
 
@@ -232,9 +233,29 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
         steepness = np.einsum("ij,ij->i", g, g)
         move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g
         size = np.sqrt(np.einsum("ij,ij->i", move, move))
-        x = x + np.minimum(1, 0.1 * h * share / np.maximum(size, 1e-3 * h))[:, None] * move
-        x -= (guide.distance(x) / steepness)[:, None] * g
+        y = x + np.minimum(1, 0.1 * h * share / np.maximum(size, 1e-3 * h))[:, None] * move
+        y -= (guide.distance(y) / steepness)[:, None] * g
+        x = _without_folds(x, y, faces)
     return x, faces
+
+
+def _without_folds(x: Array, y: Array, faces: Ints) -> Array:
+    """Vertices moved from x to y, but for those of triangles that would turn by 60 degrees."""
+    before = _plane_normals(x, faces)
+    for _ in range(FEW):
+        after = _plane_normals(y, faces)
+        square = np.einsum("ij,ij->i", before, before) * np.einsum("ij,ij->i", after, after)
+        folded = np.einsum("ij,ij->i", before, after) < MAX_TURN * np.sqrt(square)
+        if not folded.any():
+            break
+        back = np.unique(faces[folded])
+        y[back] = x[back]
+    return y
+
+
+def _plane_normals(x: Array, faces: Ints) -> Array:
+    a, b, c = x[faces.T]
+    return np.cross(b - a, c - a)
 
 
 def _flipped(x: Array, faces: Ints) -> tuple[Array, Ints]:
@@ -247,8 +268,7 @@ def _flipped(x: Array, faces: Ints) -> tuple[Array, Ints]:
 
 def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
     """Refuse triangles that the surface leaves at a larger angle than allowed."""
-    a, b, c = x[faces.T]
-    normals = np.cross(b - a, c - a)
+    normals = _plane_normals(x, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     g = gradient(x)
     g /= np.linalg.norm(g, axis=1, keepdims=True)
