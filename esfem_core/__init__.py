@@ -22,6 +22,7 @@ from esfem_core.stepping import (
     evolve,
     load,
     measure,
+    remeshed,
     respaced,
     save,
 )
@@ -79,6 +80,7 @@ __all__ = [
     "problems",
     "project_to_level_set",
     "read_mesh",
+    "remeshed",
     "repair",
     "respaced",
     "save",

@@ -55,6 +55,12 @@ NUMBERS = {
         ("contrast at the end: ", 1.1519, 2e-4),
         ("t = 1.0: .* area ", 17.8969, 2e-4),
     ],
+    "remeshing": [
+        ("triangles kept: smallest angle ", 4.9, 0.1),
+        ("triangles made anew: smallest angle ", 14.7, 0.5),
+        ("triangles made anew: .* area ", 21.667, 1e-2),
+        ("amount changes by ", 0, 1e-12),
+    ],
     "restart": [
         ("saved up to t = ", 0.55, 0),
         ("difference: ", 0, 0),

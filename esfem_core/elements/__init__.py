@@ -10,6 +10,7 @@ from esfem_core.elements.recovery import Smoothing, nodal_average, smoothed
 from esfem_core.elements.scatter import combination, with_data
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.elements.surface import Surface
+from esfem_core.elements.tangents import TangentPlanes
 
 __all__ = [
     "Basis",
@@ -20,6 +21,7 @@ __all__ = [
     "Smoothing",
     "Surface",
     "SurfaceSpace",
+    "TangentPlanes",
     "TriangleRule",
     "closest_points",
     "combination",

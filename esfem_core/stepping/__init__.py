@@ -5,6 +5,7 @@ from esfem_core.stepping.checkpoints import load, respaced, save
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
+from esfem_core.stepping.remeshing import remeshed
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Mass, Perturbation
 from esfem_core.stepping.start import exact_state
@@ -26,6 +27,7 @@ __all__ = [
     "exact_state",
     "load",
     "measure",
+    "remeshed",
     "respaced",
     "save",
     "write_whole",

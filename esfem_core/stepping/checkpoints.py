@@ -28,7 +28,7 @@ from esfem_core.stepping.scheme import Mass
 from esfem_core.stepping.state import Method, State, check_state, same_space
 from esfem_core.stepping.times import later
 
-__all__ = ["load", "respaced", "save", "saving"]
+__all__ = ["load", "respaced", "save", "saving", "space_of"]
 
 KIND, VERSION = "esfem_core states", 1
 MOST = 6  # states that are made for another step, unless an order asks for more
@@ -73,7 +73,7 @@ def save(path: str | os.PathLike[str], states: Iterable[State] | State) -> None:
     """
     file = output_path("path", path, (".npz",))
     given = [states] if isinstance(states, State) else list(states)
-    _write(file, _space_of(given), given)
+    _write(file, space_of(given), given)
 
 
 def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
@@ -140,7 +140,7 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
         if len(last) < order or saved is last[-1]:
             return
         try:
-            _write(path, _space_of(list(last)), list(last))
+            _write(path, space_of(list(last)), list(last))
         except OSError as error:
             held = "no state of this run" if saved is None else f"the states up to t = {saved.t:g}"
             warnings.warn(
@@ -210,7 +210,7 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     >>> *_, last = ec.evolve(space, problem, order=2, step=0.1, end=1.0, start=start)
     """
     given = list(states)
-    space = _space_of(given)
+    space = space_of(given)
     step = number("step", step, above=0)
     p = None if order is None else whole_number("order", order, 1)
     nearest = MOST + 1 if p is None else p + 1
@@ -285,7 +285,7 @@ def _lagrange(times: Array, t: float) -> list[float]:
     return [float(np.prod([(t - b) / (a - b) for b in times if b != a])) for a in times]
 
 
-def _space_of(states: Sequence[State]) -> SurfaceSpace:
+def space_of(states: Sequence[State]) -> SurfaceSpace:
     """The space of states that fit together."""
     if not states:
         raise ValueError("states must hold at least one state, got none")
@@ -394,5 +394,5 @@ def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpa
         states.append(
             State(one["t"], x, v, space=space, fields=fields, products=products, method=method)
         )
-    _space_of(states)
+    space_of(states)
     return space, states

@@ -175,6 +175,8 @@ def evolve(
     given = _checked_start(space, problem, start, order, step)
     n_steps = _steps_after_start(given, order, step, end)
     _check_law(space, problem, order)
+    if isinstance(given, list):
+        _check_motion_of_start(space, problem, given[-1])
     systems = Systems(make_solver, space.pattern, statistics or Statistics())
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
@@ -333,7 +335,25 @@ def _check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) 
         raise ValueError(
             "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
             f"{x[worst].tolist()} for the node p = {space.nodes[worst].tolist()}; a velocity "
-            "goes into laws.Prescribed(velocity=v)"
+            "goes into laws.Prescribed(velocity=v), and new triangles know the initial surface by "
+            "remeshed(states, h, problem)"
+        )
+
+
+def _check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) -> None:
+    """Refuse states whose nodes are not where a prescribed motion has them."""
+    law: object = problem.law
+    if not hasattr(law, "position"):
+        return
+    x = law.position(space.nodes, last.t, (last.t, last.x))
+    size = float(np.abs(last.x - last.x.mean(axis=0)).max())
+    distance = np.linalg.norm(x - last.x, axis=1)
+    worst = int(np.argmax(distance))
+    if not distance[worst] <= AT_START * size:
+        raise ValueError(
+            f"start must hold states of this motion, but node {worst} is at "
+            f"{last.x[worst].tolist()}, while X(p, t) = {x[worst].tolist()} at t = {last.t:g}; new "
+            "triangles know the initial surface by remeshed(states, h, problem)"
         )
 
 

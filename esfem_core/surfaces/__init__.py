@@ -13,6 +13,7 @@ from esfem_core.surfaces.level_set import central_gradient, descend, project_to_
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
 from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to_outside
 from esfem_core.surfaces.quality import Quality, mesh_quality
+from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
 from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 
@@ -20,7 +21,9 @@ __all__ = [
     "FLATTEST",
     "Edges",
     "Elements",
+    "Evened",
     "Fault",
+    "Guide",
     "MeshingError",
     "Quality",
     "bisected_sphere",
@@ -34,6 +37,7 @@ __all__ = [
     "descend",
     "displaced",
     "edges_of",
+    "evened",
     "exact_surfaces",
     "fault",
     "flip",
@@ -42,6 +46,7 @@ __all__ = [
     "project_to_level_set",
     "read_mesh",
     "repair",
+    "resized",
     "sides_of",
     "sphere",
     "split",

@@ -166,15 +166,15 @@ def _may_be_flipped(x: Array, faces: Ints, e: Edges, patches: Ints) -> Bools:
     return allowed
 
 
-def split(x: Array, faces: Ints, longest: float) -> tuple[Array, Ints, int]:
+def split(x: Array, faces: Ints, longest: float | Array) -> tuple[Array, Ints, int]:
     """Put a vertex into the middle of edges that are longer than `longest`.
 
     Parameters
     ----------
     x : (n, 3) float array
     faces : (T, 3) int array
-    longest : float
-        Positive.
+    longest : float or (n,) float array
+        Positive; of an edge, the mean of that at its ends.
 
     Returns
     -------
@@ -195,10 +195,10 @@ def split(x: Array, faces: Ints, longest: float) -> tuple[Array, Ints, int]:
     (7, 10, 1)
     """
     x, faces = _mesh(x, faces)
-    longest = number("longest", longest, above=0)
+    longest = _at_vertices("longest", longest, len(x))
     e = edges_of(faces)
     lengths = e.lengths(x)
-    todo = np.flatnonzero(lengths > longest)
+    todo = np.flatnonzero(lengths > longest[e.ends].mean(axis=1))
     patches = np.hstack([e.ends, e.opposite])
     todo = todo[_independent(lengths[todo], patches[todo], len(x))]
 
@@ -213,7 +213,9 @@ def split(x: Array, faces: Ints, longest: float) -> tuple[Array, Ints, int]:
     return np.vstack([x, (x[i] + x[j]) / 2]), np.vstack([result, *added]), len(todo)
 
 
-def collapse(x: Array, faces: Ints, priority: Array, longest: float) -> tuple[Array, Ints, int]:
+def collapse(
+    x: Array, faces: Ints, priority: Array, longest: float | Array
+) -> tuple[Array, Ints, int]:
     """Shrink edges to their midpoints.
 
     Left alone are edges whose ends have more than two neighbours in common (the topology would
@@ -227,8 +229,8 @@ def collapse(x: Array, faces: Ints, priority: Array, longest: float) -> tuple[Ar
     priority : (E,) float array
         For the edges of :func:`edges_of`: those with a positive number are candidates, larger
         numbers first.
-    longest : float
-        Positive.
+    longest : float or (n,) float array
+        Positive; of an edge, the mean of that at its ends.
 
     Returns
     -------
@@ -249,7 +251,7 @@ def collapse(x: Array, faces: Ints, priority: Array, longest: float) -> tuple[Ar
     (True, True, True)
     """
     x, faces = _mesh(x, faces)
-    longest = number("longest", longest, above=0)
+    longest = _at_vertices("longest", longest, len(x))
     e = edges_of(faces)
     priority = real_array("priority", priority, (len(e.ends),))
     todo = np.flatnonzero(priority > 0)
@@ -298,14 +300,24 @@ def _merged(x: Array, faces: Ints, i: Ints, j: Ints) -> tuple[Array, Ints]:
     return y, target[faces]
 
 
-def _spoiled(x: Array, faces: Ints, y: Array, renamed: Ints, longest: float) -> Bools:
+def _spoiled(x: Array, faces: Ints, y: Array, renamed: Ints, longest: Array) -> Bools:
     """Which triangles turn by more than 60 degrees or get a side longer than `longest`."""
     a, b, c = renamed.T
     old, new = _normals(x, *faces.T), _normals(y, a, b, c)
     bad = _dot(old, new) < MAX_TURN * np.sqrt(_dot(old, old) * _dot(new, new))
     for p, q in ((a, b), (b, c), (c, a)):
-        bad |= _dot(y[p] - y[q], y[p] - y[q]) > longest**2
+        bad |= _dot(y[p] - y[q], y[p] - y[q]) > ((longest[p] + longest[q]) / 2) ** 2
     return bad
+
+
+def _at_vertices(name: str, value: float | Array, n: int) -> Array:
+    """A positive number for each vertex, (n,)."""
+    if np.ndim(value) == 0:
+        return np.full(n, number(name, value, above=0))
+    values = finite_array(name, value, (n,))
+    if not (values > 0).all():
+        raise ValueError(f"{name} must be positive, got {values.min():g}")
+    return values
 
 
 def _mesh(x: Array, faces: Ints) -> tuple[Array, Ints]:

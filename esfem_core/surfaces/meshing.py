@@ -3,8 +3,11 @@
 The thesis takes its linear triangulations from DistMesh, a program for MATLAB: points that push
 each other apart like compressed springs, on a surface given by its distance function. This is
 the same idea for closed surfaces in NumPy: marching cubes for a first triangulation, then springs,
-edge flips, and Newton's method to keep the vertices on the surface.
+edge flips, and Newton's method to keep the vertices on the surface; the springs and flips stand in
+:mod:`esfem_core.surfaces.relaxation`.
 """
+
+from functools import partial
 
 import numpy as np
 import trimesh
@@ -14,23 +17,14 @@ from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Ints, finite_array, number
 from esfem_core.surfaces.check import check_triangulation
-from esfem_core.surfaces.edges import collapse, edges_of, flip, split
 from esfem_core.surfaces.level_set import Field, central_gradient, checked_values, descend
-from esfem_core.surfaces.quality import Quality, mesh_quality
+from esfem_core.surfaces.quality import Quality
+from esfem_core.surfaces.relaxation import MAX_ROUNDS, MEAN_RATIO, MIN_ANGLE, Guide, evened
 
 __all__ = ["MeshingError", "from_level_set"]
 
-# What is asked of the mesh; the rounds end when it holds and the mean ratio has settled.
-MIN_ANGLE = 30.0  # degrees
-MEAN_RATIO = 0.96  # of radii, 2 r_in/r_out
-SETTLED = 0.003  # smallest gain of the mean ratio in a round that is worth another
-SHORTEST, LONGEST = 0.6, 1.5  # shorter edges are collapsed, longer ones split; times h
-MAX_ROUNDS, STEPS = 40, 12
-ROUGH_ROUNDS = 5  # after these the mesh must at least follow the surface
-
 GRID = 1.14  # spacing of the first grid over h: marching cubes then gives about as many vertices
 MAX_POINTS = 2 * 10**7  # of the grid with half that spacing, which checks the topology
-MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surface at its corners
 
 
 class MeshingError(RuntimeError):
@@ -95,27 +89,11 @@ def from_level_set(
     h = number("h", h, above=0)
     gradient = central_gradient(d) if gradient is None else gradient
     x, faces = _first_mesh(d, low, high, h)
-    x = descend(d, gradient, x)
-    before = 0.0
-    for n in range(MAX_ROUNDS):
-        x, faces, changes = _even_out(x, faces, h)
-        x, faces = _relax(descend(d, gradient, x), faces, d, gradient, h)
-        x = descend(d, gradient, x)
-        tri = trimesh.Trimesh(x, faces, process=False)
-        reached = mesh_quality(tri)
-        good = (
-            reached.min_angle >= MIN_ANGLE
-            and reached.mean_ratio >= MEAN_RATIO
-            and reached.h_min >= SHORTEST * h
-        )
-        if good and not changes and reached.mean_ratio - before < SETTLED:
-            break
-        before = reached.mean_ratio
-        if n >= ROUGH_ROUNDS and not good:
-            _check_curvature(x, faces, gradient, h)
-    _check_curvature(x, faces, gradient, h)
-    if not good:
-        raise MeshingError(_shortcoming(tri, reached, h))
+    guide = Guide(d, gradient, partial(descend, d, gradient))
+    found = evened(guide.project(x), faces, guide, h)
+    tri = trimesh.Trimesh(found.vertices, found.faces, process=False)
+    if not found.good:
+        raise MeshingError(_shortcoming(tri, found.quality, h))
     check_triangulation(tri)
     return tri
 
@@ -214,65 +192,6 @@ def _topology(faces: Ints) -> tuple[int, int]:
 def _in_words(topology: tuple[int, int]) -> str:
     euler, pieces = topology
     return f"Euler number {euler} and {pieces} component{'s' if pieces > 1 else ''}"
-
-
-def _even_out(x: Array, faces: Ints, h: float) -> tuple[Array, Ints, int]:
-    """Collapse short edges and one edge at vertices in fewer than five triangles; split long ones.
-
-    New vertices are on edges, not on the surface. Also returns the number of changes.
-    """
-    e = edges_of(faces)
-    lengths = e.lengths(x)
-    few = np.bincount(faces.ravel())[e.ends].min(axis=1) < 5
-    priority = np.where(lengths < SHORTEST * h, 2 * h - lengths, 0)
-    priority = np.where(few, 10 * h - lengths, priority)
-    x, faces, collapses = collapse(x, faces, priority, LONGEST * h)
-    x, faces, splits = split(x, faces, LONGEST * h)
-    return x, faces, collapses + splits
-
-
-def _relax(x: Array, faces: Ints, d: Field, gradient: Field, h: float) -> tuple[Array, Ints]:
-    """Let edges push their ends apart, and flip edges; vertices end near the surface."""
-    for step in range(STEPS):
-        if step % 4 == 0:
-            flips = 1
-            while flips:
-                faces, flips = flip(x, faces)
-            i, j = edges_of(faces).ends.T
-        # Springs shorter than wanted push; as these are 1.2 mean lengths, nearly all are.
-        across = x[j] - x[i]
-        squares = np.einsum("ij,ij->i", across, across)
-        wanted = 1.2 * np.sqrt(squares.mean())
-        push = (0.2 * np.maximum(wanted / np.sqrt(squares) - 1, 0))[:, None] * across
-        move = np.stack(
-            [np.bincount(j, p, len(x)) - np.bincount(i, p, len(x)) for p in push.T], axis=1
-        )
-
-        # Along the tangent plane, at most h/10 at once, then one Newton step to the surface.
-        g = gradient(x)
-        steepness = np.einsum("ij,ij->i", g, g)
-        move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g
-        size = np.sqrt(np.einsum("ij,ij->i", move, move))
-        x = x + np.minimum(1, 0.1 * h / np.maximum(size, 1e-3 * h))[:, None] * move
-        x -= (d(x) / steepness)[:, None] * g
-    return x, faces
-
-
-def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float) -> None:
-    """Refuse triangles that the surface leaves at more than 60 degrees."""
-    a, b, c = x[faces.T]
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    g = gradient(x)
-    g /= np.linalg.norm(g, axis=1, keepdims=True)
-    cosine = np.einsum("ti,tji->tj", normals, g[faces]).min(axis=1)
-    worst = int(np.argmin(cosine))
-    if not cosine[worst] > MAX_TURN:
-        angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
-        raise ValueError(
-            f"h = {h:g} is too large for this surface: near {x[faces[worst, 0]].round(3).tolist()} "
-            f"it turns by {angle:.0f} degrees within a triangle (allowed: 60)"
-        )
 
 
 def _shortcoming(tri: trimesh.Trimesh, reached: Quality, h: float) -> str:

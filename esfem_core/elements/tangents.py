@@ -1,0 +1,108 @@
+"""A discrete surface by its tangent planes at many points: quick distances of points nearby."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from esfem_core.checks import Array, number
+from esfem_core.elements.lagrange import tabulate
+from esfem_core.elements.recovery import nodal_average
+from esfem_core.elements.surface import Surface
+
+__all__ = ["TangentPlanes"]
+
+FINEST = 64  # parts of a side, at most
+
+
+class TangentPlanes:
+    """Signed distances from Γ_h[x], and normals, of points near it.
+
+    A point looks up the nearest of many points of the surface, and takes the plane through this
+    that is normal to a continuous normal field, the nodal average of that of the elements. The
+    distance of a point of the surface comes out as O(spacing^2); :func:`closest_points` is exact,
+    and a hundred times slower.
+
+    Parameters
+    ----------
+    at : Surface
+    spacing : float or (T,) float array
+        Between the points that are looked up, on each element.
+
+    Attributes
+    ----------
+    nodal : (N, 3) float array
+        Unit normals at the nodes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `spacing` is not positive.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    >>> planes = TangentPlanes(ec.Surface(space, space.nodes), 0.05)
+    >>> planes.distance(np.array([[0.0, 0.0, 1.5]])).round(3)
+    array([0.5])
+    >>> planes.normal(np.array([[0.5, 1.0, 1.0]])).round(2)
+    array([[0.33, 0.67, 0.67]])
+    """
+
+    def __init__(self, at: Surface, spacing: float | Array) -> None:
+        if np.ndim(spacing) == 0:
+            spacing = number("spacing", spacing, above=0)
+        space = at.space
+        normal = nodal_average(at, at.normal)
+        self.nodal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        corners = at.x[space.cells[:, :3]]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        parts = 2 ** np.ceil(np.log2(np.maximum(longest / spacing, 1))).astype(int)
+        parts = np.minimum(parts, FINEST)
+        points, normals, self._where = [], [], []
+        for n in np.unique(parts):
+            cells = space.cells[parts == n]
+            values = tabulate(space.degree, _centres(int(n))).values
+            self._where.append((values, cells))
+            points.append((values @ at.x[cells]).reshape(-1, 3))
+            normals.append((values @ self.nodal[cells]).reshape(-1, 3))
+        self._points = np.concatenate(points)
+        many = np.concatenate(normals)
+        self._normals = many / np.linalg.norm(many, axis=1, keepdims=True)
+        self._tree = cKDTree(self._points)
+
+    def distance(self, x: Array) -> Array:
+        """Signed distances of points (n, 3), positive outside, (n,)."""
+        i = self._tree.query(x)[1]
+        found: Array = np.einsum("ij,ij->i", x - self._points[i], self._normals[i])
+        return found
+
+    def normal(self, x: Array) -> Array:
+        """Unit normals near points (n, 3), (n, 3)."""
+        return np.asarray(self._normals[self._tree.query(x)[1]])
+
+    def values(self, nodal: Array, x: Array) -> Array:
+        """Values near points (n, 3) of a function given at the nodes, (N,): (n,)."""
+        many = np.concatenate(
+            [(values @ nodal[cells].T).T.ravel() for values, cells in self._where]
+        )
+        return np.asarray(many[self._tree.query(x)[1]])
+
+    def near(self, x: Array) -> Array:
+        """Points (n, 3) moved to the planes, (n, 3)."""
+        moved: Array = x
+        for _ in range(2):  # the second plane is that of a nearer point
+            moved = moved - self.distance(moved)[:, None] * self.normal(moved)
+        return moved
+
+
+def _centres(parts: int) -> Array:
+    """Centres of the triangles into which the reference triangle is divided.
+
+    >>> _centres(2).round(2).tolist()
+    [[0.17, 0.17], [0.67, 0.17], [0.17, 0.67], [0.33, 0.33]]
+    """
+    i, j = np.divmod(np.arange(parts**2), parts)
+    up, down = i + j < parts, i + j < parts - 1
+    lower = np.stack([j[up], i[up]], axis=1) + 1 / 3
+    upper = np.stack([j[down], i[down]], axis=1) + 2 / 3
+    return np.asarray(np.concatenate([lower, upper]) / parts)
