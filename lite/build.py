@@ -22,10 +22,10 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import urllib.parse
 import urllib.request
 import zipfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +49,10 @@ COMPILED = "open_webui==0.12.4"  # ships these wheels, and is on the registry
 
 KERNEL = ("micropip", "piplite", "ipykernel", "comm", "pyodide-kernel", "jedi", "ipython")
 OURS = "esfem-core"
-DRAWING = ("matplotlib", "plotly")  # imported when something is drawn, not by a chapter
+SOLVER = (OURS, "matplotlib", "plotly")  # the last two are imported when something is drawn
 OPTIONAL = ("sympy", "meshio", "scikit-image")  # without one, chapters that need it stay out
 
-APPLICATION = 9_000_000  # bytes of JupyterLite itself that a notebook loads
+APPLICATION = 8_300_000  # bytes of JupyterLite itself that a notebook loads
 # Pages that are read from a disk, without a server, cannot start Python: no button there.
 BUTTON = """\
 <p class="esfem-launch" hidden>
@@ -63,7 +63,16 @@ Run in the browser ({megabytes} MB)</a>
 </p>
 <script>document.querySelector(".esfem-launch").hidden = location.protocol === "file:";</script>"""
 
-Package = dict[str, Any]  # an entry of the lock file
+Entry = dict[str, Any]  # of the lock file
+
+
+@dataclass(frozen=True)
+class Package:
+    """A wheel: its entry in the lock file, its bytes, and the file if the site has to have it."""
+
+    entry: Entry
+    size: int
+    wheel: Path | None = None
 
 
 class MissingError(Exception):
@@ -131,7 +140,7 @@ def canonical(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def described(wheel: Path) -> Package:
+def described(wheel: Path) -> Entry:
     """Return the entry of the lock file for a pure wheel."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
@@ -192,42 +201,52 @@ class Distribution:
             found = list(self.wheels.glob(f"{stem}*.whl"))
         return found[0]
 
-    def package(self, name: str) -> tuple[Package, Path | None]:
-        """Return the entry of a package and its wheel, None for one that the reader loads."""
+    def package(self, name: str) -> Package:
+        """Find a package."""
         listed = self.lock["packages"].get(name)
         if name in self.own or listed is None:
             if name not in self.own and name not in self.pins:
                 raise MissingError(f"{name} is neither in Pyodide nor in requirements.lock")
             wheel = self.own.get(name) or self.pure(name, self.pins[name])
-            return described(wheel), wheel
+            return Package(described(wheel), wheel.stat().st_size, wheel)
         file = listed["file_name"]
         if self.address:
-            return listed | {"file_name": f"{self.address}/{file}"}, None
+            return Package(listed | {"file_name": f"{self.address}/{file}"}, self.size(file))
         if (self.folder / file).is_file():
-            return listed, checked(self.folder / file, listed["sha256"])
+            wheel = checked(self.folder / file, listed["sha256"])
+            return Package(listed, wheel.stat().st_size, wheel)
         if not file.endswith("-none-any.whl"):
             raise MissingError(f"{name} is compiled, and {self.folder.name} does not have {file}")
         # Pyodide builds some pure wheels itself: the registry's have another sum.
         wheel = self.pure(name, listed["version"])
-        return listed | {"file_name": wheel.name, "sha256": sha256(wheel)}, wheel
+        changed = {"file_name": wheel.name, "sha256": sha256(wheel)}
+        return Package(listed | changed, wheel.stat().st_size, wheel)
 
-    def closure(self, names: Iterable[str]) -> dict[str, tuple[Package, Path | None]]:
+    def size(self, file: str) -> int:
+        """Return the bytes of a file of the distribution."""
+        if not self.address:
+            return (self.folder / file).stat().st_size
+        request = urllib.request.Request(f"{self.address}/{file}", method="HEAD")
+        try:
+            with urllib.request.urlopen(request) as answer:
+                return int(answer.headers["Content-Length"])
+        except OSError as error:
+            raise MissingError(f"{request.full_url}: {error}") from error
+
+    def closure(self, names: Iterable[str]) -> dict[str, Package]:
         """Return packages and all that they need."""
-        found: dict[str, tuple[Package, Path | None]] = {}
+        found: dict[str, Package] = {}
         todo = list(names)
         while todo:
             if (name := canonical(todo.pop())) not in found:
-                package, wheel = self.package(name)
-                if name == OURS:
-                    package["depends"] += DRAWING
-                found[name] = package, wheel
-                todo += package["depends"]
+                found[name] = self.package(name)
+                todo += found[name].entry["depends"]
         return found
 
 
 def build(distribution: Distribution) -> dict[str, Package]:
     """Build the site and return the packages in it, by name."""
-    found = distribution.closure([*KERNEL, OURS])
+    found = distribution.closure([*KERNEL, *SOLVER])
     for name in OPTIONAL:
         try:
             found |= distribution.closure([name])
@@ -252,19 +271,19 @@ def build(distribution: Distribution) -> dict[str, Package]:
 
     static = LITE / "static" / "pyodide"
     static.mkdir()
-    for package, wheel in found.values():
-        if wheel is not None:
-            shutil.copy(wheel, static / package["file_name"])
+    for package in found.values():
+        if package.wheel is not None:
+            shutil.copy(package.wheel, static)
     if not distribution.address:
         for name, expected in RUNTIME.items():
             shutil.copy(checked(distribution.folder / name, expected), static)
-    packages = {name: package for name, (package, _) in found.items()}
-    (static / LOCK).write_text(json.dumps(distribution.lock | {"packages": packages}), "utf8")
+    entries = {"packages": {name: package.entry for name, package in found.items()}}
+    (static / LOCK).write_text(json.dumps(distribution.lock | entries), "utf8")
     runner = LITE / "extensions" / "esfem-run"
     runner.mkdir()
     shutil.copy(Path(__file__).with_name("run_on_opening.js"), runner)
     configure(distribution.address or "./static/pyodide")
-    return packages
+    return found
 
 
 def configure(pyodide: str) -> None:
@@ -281,7 +300,7 @@ def configure(pyodide: str) -> None:
         "disablePyPIFallback": True,
         "loadPyodideOptions": {
             "lockFileURL": f"./static/pyodide/{LOCK}",
-            "packages": list(KERNEL),
+            "packages": [*KERNEL, *SOLVER],
         },
     }
     file.write_text(json.dumps(settings, indent=1), "utf8")
@@ -301,36 +320,47 @@ def modules(notebook: Path) -> set[str]:
     return found - sys.stdlib_module_names
 
 
-def size(file: str, address: str) -> int:
-    """Return the bytes of a file of Pyodide or of a wheel."""
-    if not address or (LITE / "static" / "pyodide" / file).is_file():
-        return (LITE / "static" / "pyodide" / file).stat().st_size
-    request = urllib.request.Request(urllib.parse.urljoin(f"{address}/", file), method="HEAD")
-    with urllib.request.urlopen(request) as answer:
-        return int(answer.headers["Content-Length"])
-
-
 def add_buttons(distribution: Distribution, packages: dict[str, Package]) -> None:
     """Put a button on each chapter that can run."""
-    provider = {module: name for name, p in packages.items() for module in p["imports"]}
-    sizes = {p["file_name"]: size(p["file_name"], distribution.address) for p in packages.values()}
-    runtime = sum(size(name, distribution.address) for name in RUNTIME if name != LOCK)
+    provider = {module: name for name, p in packages.items() for module in p.entry["imports"]}
+    runtime = sum(distribution.size(name) for name in RUNTIME if name != LOCK)
     for notebook in sorted((ROOT / "book").glob("[0-9]*.ipynb")):
         needed = modules(notebook)
         if lacking := needed - provider.keys():
             print(f"lite: {notebook.stem} has no button: it needs {', '.join(sorted(lacking))}")
             continue
-        loaded, todo = set(), [*KERNEL, *(provider[module] for module in needed)]
+        loaded, todo = set(), [*KERNEL, *SOLVER, *(provider[module] for module in needed)]
         while todo:
-            if (name := todo.pop()) not in loaded:
+            if (name := canonical(todo.pop())) not in loaded:
                 loaded.add(name)
-                todo += map(canonical, packages[name]["depends"])
-        total = APPLICATION + runtime + sum(sizes[packages[name]["file_name"]] for name in loaded)
+                todo += packages[name].entry["depends"]
+        total = APPLICATION + runtime + sum(packages[name].size for name in loaded)
         page = BOOK / "book" / f"{notebook.stem}.html"
         text = page.read_text("utf8")
         button = BUTTON.format(notebook=notebook.name, megabytes=round(total / 1e6))
         text = re.sub('\\n<p class="esfem-launch".*?</script>', "", text, flags=re.DOTALL)
-        page.write_text(text.replace("</h1>", f"</h1>\n{button}", 1), "utf8")
+        head, article, body = text.partition("<article")  # there is a title for printers before it
+        body = body.replace("</h1>", f"</h1>\n{button}", 1)
+        page.write_text(f"{head}{article}{body}", "utf8")
+
+
+def in_place(distribution: Distribution) -> None:
+    """Let the cells of the front page that have the tag "in-place" run where they stand."""
+    cells = json.loads((ROOT / "book" / "intro.ipynb").read_text("utf8"))["cells"]
+    tagged = [c for c in cells if "in-place" in c["metadata"].get("tags", [])]
+    program = "\n\n".join("".join(cell["source"]) for cell in tagged)
+    (LITE / "in_place.py").write_text(program, "utf8")
+    shutil.copy(Path(__file__).with_name("in_place_worker.js"), LITE)
+    runtime = sum(distribution.size(name) for name in RUNTIME)
+    total = runtime + sum(p.size for p in distribution.closure([OURS]).values())
+    script = Path(__file__).with_name("in_place.js").read_text("utf8")
+    plotly, worker = "../_static/plotly/plotly-gl3d.min.js", "../lite/in_place_worker.js"
+    parameters = json.dumps(["esfem-in-place", "fig-alpha", plotly, worker, round(total / 1e6)])
+    page = BOOK / "book" / "intro.html"
+    place = '<div id="esfem-in-place"></div>'
+    text = page.read_text("utf8")
+    text = text.replace(place, f"{place}\n<script>{script.strip()}(...{parameters});</script>")
+    page.write_text(text, "utf8")
 
 
 def main() -> None:
@@ -341,6 +371,7 @@ def main() -> None:
         distribution = Distribution(sys.argv[1] if len(sys.argv) > 1 else "")
         packages = build(distribution)
         add_buttons(distribution, packages)
+        in_place(distribution)
     except (MissingError, OSError) as reason:  # what urllib raises is an OSError
         shutil.rmtree(LITE, ignore_errors=True)
         print(f"lite: the book has no buttons, for something cannot be had: {reason}")
