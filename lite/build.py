@@ -49,7 +49,8 @@ COMPILED = "open_webui==0.12.4"  # ships these wheels, and is on the registry
 
 KERNEL = ("micropip", "piplite", "ipykernel", "comm", "pyodide-kernel", "jedi", "ipython")
 OURS = "esfem-core"
-SOLVER = (OURS, "matplotlib", "plotly")  # the last two are imported when something is drawn
+SOLVER = (OURS, "matplotlib")  # imported by ours only when something is drawn
+PLOTLY = "_static/plotly/plotly-gl3d.min.js"  # of the book, for its pictures and those in here
 OPTIONAL = ("sympy", "meshio", "scikit-image")  # without one, chapters that need it stay out
 
 APPLICATION = 8_300_000  # bytes of JupyterLite itself that a notebook loads
@@ -301,6 +302,7 @@ def configure(pyodide: str) -> None:
         "loadPyodideOptions": {
             "lockFileURL": f"./static/pyodide/{LOCK}",
             "packages": [*KERNEL, *SOLVER],
+            "env": {"ESFEM_PLOTLY_JS": f"../../{PLOTLY}"},
         },
     }
     file.write_text(json.dumps(settings, indent=1), "utf8")
@@ -354,8 +356,8 @@ def in_place(distribution: Distribution) -> None:
     runtime = sum(distribution.size(name) for name in RUNTIME)
     total = runtime + sum(p.size for p in distribution.closure([OURS]).values())
     script = Path(__file__).with_name("in_place.js").read_text("utf8")
-    plotly, worker = "../_static/plotly/plotly-gl3d.min.js", "../lite/in_place_worker.js"
-    parameters = json.dumps(["esfem-in-place", "fig-alpha", plotly, worker, round(total / 1e6)])
+    addresses = f"../{PLOTLY}", "../lite/in_place_worker.js"
+    parameters = json.dumps(["esfem-in-place", "fig-alpha", *addresses, round(total / 1e6)])
     page = BOOK / "book" / "intro.html"
     place = '<div id="esfem-in-place"></div>'
     text = page.read_text("utf8")

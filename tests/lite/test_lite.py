@@ -179,12 +179,38 @@ def test_a_chapter_runs_to_its_end(chapter, reader):
         url for url in reader.asked if not url.startswith(("data:", "blob:", reader.address))
     ] == []
     assert reader.bytes / 1e6 == pytest.approx(said, rel=0.1)
-    moving = sum("surface_animation(" in c["source"] for c in cells)
-    assert (
-        reader.tab.locator(".esfem-animation:has(canvas):has(.slider-rail-rect)").count() == moving
-    )
+    figures = reader.tab.locator(".esfem-animation")
+    assert figures.count() == sum("surface_animation(" in c["source"] for c in cells)
+    for figure in figures.all():
+        figure.scroll_into_view_if_needed()
+        figure.locator("canvas").first.wait_for()
+        slider, clock = figure.locator("input[type=range]"), figure.locator("output")
+        slider.fill("0")
+        start = clock.inner_text()
+        slider.fill(slider.get_attribute("max"))
+        assert clock.inner_text() != start
     if chapter == RUN[0]:
         reader.tab.evaluate(CHANGE_AND_RUN, [BEFORE, AFTER, NUMBERS])
         (numbers,) = (printed(c["outputs"]) for c in reader.wait() if c["source"] == NUMBERS)
         assert len(numbers) == 3
         assert numbers == pytest.approx(natively(chapter), rel=1e-6)
+
+
+def test_the_front_page_computes_where_it_stands(browser, address):
+    reader = Reader(browser, address)
+    reader.tab.goto(f"{address}/book/intro.html")
+    place, still = reader.tab.locator("#esfem-in-place"), reader.tab.locator("#fig-alpha")
+    assert still.is_visible()
+    button, slider, says = (place.locator(part) for part in ("button", "input", "output"))
+    said = re.search(r"\((\d+) MB\)", button.inner_text())
+    button.click()
+    place.get_by_text("20 steps").wait_for(timeout=1e3 * LIMIT)
+    assert not still.is_visible()
+    assert reader.bytes / 1e6 == pytest.approx(int(said[1]), rel=0.1)
+    for value, alpha in (("-2", "0.01"), ("0", "1")):
+        slider.fill(value)
+        place.get_by_text(f"α = {alpha}:").wait_for(timeout=1e3 * LIMIT)
+    print(says.inner_text())
+    here = ("data:", "blob:", address)
+    assert [url for url in reader.asked if not url.startswith(here)] == []
+    reader.context.close()
