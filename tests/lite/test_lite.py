@@ -126,11 +126,11 @@ class Reader:
         """Wait until all is run or something fails, and return the cells."""
         start = time.monotonic()
         while time.monotonic() - start < LIMIT:
-            cells = self.tab.evaluate(CELLS) or []
+            cells = [c for c in self.tab.evaluate(CELLS) or [] if c["source"]]
             for cell in cells:
                 for output in cell["outputs"]:
                     assert output["output_type"] != "error", "\n".join(output["traceback"])
-            if cells and all(c["count"] and c["state"] == "idle" for c in cells if c["source"]):
+            if cells and all(c["count"] and c["state"] == "idle" for c in cells):
                 return cells
             self.tab.wait_for_timeout(500)
         raise AssertionError(f"not done after {LIMIT:g} s: {[c['count'] for c in cells]}")
