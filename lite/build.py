@@ -53,7 +53,7 @@ SOLVER = (OURS, "matplotlib")  # imported by ours only when something is drawn
 PLOTLY = "_static/plotly/plotly-gl3d.min.js"  # of the book, for its pictures and those in here
 OPTIONAL = ("sympy", "meshio", "scikit-image")  # without one, chapters that need it stay out
 
-APPLICATION = 8_300_000  # bytes of JupyterLite itself that a notebook loads
+APPLICATION = 9_900_000  # bytes of JupyterLite itself that a notebook loads
 # Pages that are read from a disk, without a server, cannot start Python: no button there.
 BUTTON = """\
 <p class="esfem-launch" hidden>

@@ -135,6 +135,15 @@ class Reader:
             self.tab.wait_for_timeout(500)
         raise AssertionError(f"not done after {LIMIT:g} s: {[c['count'] for c in cells]}")
 
+    def come_near(self, figure):
+        """Scroll to a picture until it is drawn: what is above it may still grow."""
+        for _ in range(60):
+            figure.evaluate("f => f.scrollIntoView({ block: 'center' })")
+            self.tab.wait_for_timeout(1000)
+            if figure.locator("canvas").count():
+                return
+        raise AssertionError("the picture is not drawn")
+
 
 @pytest.fixture
 def reader(browser, address):
@@ -182,8 +191,7 @@ def test_a_chapter_runs_to_its_end(chapter, reader):
     figures = reader.tab.locator(".esfem-animation")
     assert figures.count() == sum("surface_animation(" in c["source"] for c in cells)
     for figure in figures.all():
-        figure.scroll_into_view_if_needed()
-        figure.locator("canvas").first.wait_for()
+        reader.come_near(figure)
         slider, clock = figure.locator("input[type=range]"), figure.locator("output")
         slider.fill("0")
         start = clock.inner_text()
