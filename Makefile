@@ -2,12 +2,13 @@
 PYTHON ?= python3
 BIN    := .venv/bin
 STAMP  := .venv/.installed
+LITE   := .venv/lite
 
 # Runs beside others, so each process keeps to one thread.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv book test full check-book lint format clean
+.PHONY: help venv book lite test full check-book check-lite lint format clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -25,6 +26,14 @@ book: $(STAMP) ## build the book: _build/html/index.html
 	rm -rf _build/html
 	$(BIN)/jupyter-book build . --all -W -n --keep-going
 
+$(LITE)/.installed: lite/requirements.txt
+	$(PYTHON) -m venv $(LITE)
+	$(LITE)/bin/python -m pip install -q --disable-pip-version-check -r $<
+	touch $@
+
+lite: book $(LITE)/.installed ## the book with chapters that run in it (PYODIDE=folder or address of a distribution)
+	$(LITE)/bin/python lite/build.py $(PYODIDE)
+
 # A claim whose verdict is not the accepted one fails.
 test: export ESFEM_STRICT = 1
 test: $(STAMP) ## solver, doctests and all notebooks
@@ -36,6 +45,9 @@ full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start ag
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages
+
+check-lite: lite ## chapters that run in the browser, without network: some minutes
+	$(BIN)/python -m pytest -q -x tests/lite
 
 lint: $(STAMP) ## ruff and mypy
 	$(BIN)/ruff check
