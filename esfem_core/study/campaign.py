@@ -38,6 +38,7 @@ from esfem_core.study.rows import (
     Store,
     plain,
     set_aside,
+    told,
 )
 
 __all__ = [
@@ -307,7 +308,7 @@ class _Campaign:
         self._own = own  # processes that end with the campaign
         self._stores: list[Store] = []
         self._unsaved: list[tuple[Store, Row]] = []
-        self._reason = OSError()
+        self._reason: Exception = OSError()
 
     def add(self, experiment: Experiment, folder: Path, stale: Stale, sent: Any) -> None:
         """Take in the chains of an experiment."""
@@ -422,10 +423,10 @@ class _Campaign:
         """Write a row, and those that could not be written before."""
         try:
             row = store.put(row)
-        except OSError as error:
+        except (OSError, ValueError) as error:  # no room, or someone has spoilt the file
             if not self._unsaved:
                 warnings.warn(
-                    f"{store.path} cannot be written ({error.strerror}): finished rows are kept in "
+                    f"{store.path} cannot be written ({told(error)}): finished rows are kept in "
                     "memory until it can",
                     StudyWarning,
                     stacklevel=2,
@@ -441,7 +442,7 @@ class _Campaign:
             store, row = self._unsaved[0]
             try:
                 store.put(row)
-            except OSError as error:
+            except (OSError, ValueError) as error:
                 self._reason = error
                 return
             self._unsaved.pop(0)

@@ -19,7 +19,17 @@ import numpy as np
 from esfem_core.checks import shown
 from esfem_core.study.locks import FileLocks
 
-__all__ = ["Row", "Store", "UnsavedRowsError", "case_key", "plain", "read", "select", "set_aside"]
+__all__ = [
+    "Row",
+    "Store",
+    "UnsavedRowsError",
+    "case_key",
+    "plain",
+    "read",
+    "select",
+    "set_aside",
+    "told",
+]
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -308,10 +318,15 @@ def _number(key: str) -> int:
     return 1 + int.from_bytes(hashlib.sha256(key.encode()).digest()[:7], "big")
 
 
-def set_aside(unsaved: list[tuple[Store, Row]], reason: OSError) -> UnsavedRowsError:
+def told(error: Exception) -> str:
+    """What a message says of an error: no number of the system, and no path a second time."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def set_aside(unsaved: list[tuple[Store, Row]], reason: Exception) -> UnsavedRowsError:
     """Write rows that have no room where they belong to another place; what to tell of it."""
     rows = [row for _, row in unsaved]
-    text = f"{len(rows)} finished rows could not be written ({reason.strerror or reason})"
+    text = f"{len(rows)} finished rows could not be written ({told(reason)})"
     try:
         folder = Path(tempfile.mkdtemp(prefix="esfem-study-"))
         advice = []

@@ -167,6 +167,22 @@ def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, te
     assert path.read_text() == text
 
 
+def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
+    path = tmp_path / "compute.jsonl"
+
+    def compute(size):
+        if size == 2:
+            path.write_text("spoilt\n")
+        return {"size": size}
+
+    with (
+        pytest.warns(StudyWarning, match="is not a file of results: line 1"),
+        pytest.raises(ValueError, match=r"compute\.jsonl is not a file of results: line 1"),
+    ):
+        study(tmp_path, grid(size=(1, 2, 3)), compute)
+    assert path.read_text() == "spoilt\n"
+
+
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
