@@ -8,7 +8,8 @@ LITE   := .venv/lite
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv book lite test full check-book check-lite lint format clean
+.PHONY: help venv wheel book lite test full check-book check-lite lint format clean \
+        test-oldest test-newest compare-builds
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -22,7 +23,14 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-book: $(STAMP) ## build the book: _build/html/index.html
+# The date makes two wheels of the same sources the same file.
+wheel: export SOURCE_DATE_EPOCH = 315532800
+wheel: $(STAMP) ## the wheel of esfem_core alone, in _build/wheel
+	rm -rf build _build/wheel
+	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w _build/wheel .
+	rm -rf build
+
+book: wheel ## build the book: _build/html/index.html
 	rm -rf _build/html
 	$(BIN)/jupyter-book build . --all -W -n --keep-going
 
@@ -48,6 +56,19 @@ check-book: book ## the built pages, in a browser without network
 
 check-lite: lite ## chapters that run in the browser, without network: some minutes
 	$(BIN)/python -m pytest -q -x tests/lite
+
+# Tests of the solver with other versions of NumPy, SciPy, trimesh and what is optional beside them.
+test-oldest: ## the solver, with the oldest versions that pyproject.toml allows
+	$(PYTHON) tests/versions.py oldest
+
+test-newest: ## the solver, with the newest versions there are
+	$(PYTHON) tests/versions.py newest
+
+compare-builds: wheel ## build the book with 1 and with 2 threads: the same numbers to 1e-9?
+	rm -rf _build/threads-1 _build/threads-2
+	for n in 1 2; do rm -rf _build/cache; OMP_NUM_THREADS=$$n OPENBLAS_NUM_THREADS=$$n \
+	    $(BIN)/jupyter-book build . --all -W -n --keep-going --path-output _build/threads-$$n || exit 1; done
+	$(BIN)/python tests/same_digits.py _build/threads-1/_build/html _build/threads-2/_build/html
 
 lint: $(STAMP) ## ruff and mypy
 	$(BIN)/ruff check

@@ -5,7 +5,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from esfem_core.companion.environment import environment
+from esfem_core.study.environment import environment
 
 
 def in_turn(peer, ours, repeats):

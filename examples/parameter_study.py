@@ -1,9 +1,6 @@
-"""A study of parameters: several processes, progress, and going on after an interruption."""
-
-from itertools import islice
+"""A study of parameters: several processes, progress, and going on where it stopped."""
 
 import esfem_core as ec
-from esfem_core.companion import campaign
 
 
 def area(alpha, beta):
@@ -14,30 +11,13 @@ def area(alpha, beta):
     return {"area": ec.measure(last).area}
 
 
-# Each chain holds cases that are computed one after the other; chains run side by side.
-study = campaign.Experiment(
-    name="growth",
-    title="area against regularisation and curvature",
-    compute=area,
-    chains=[[{"alpha": a, "beta": b} for b in (0.0, 0.1, 0.2)] for a in (0.1, 1.0)],
-)
-CASES = sum(map(len, study.chains))
+if __name__ == "__main__":  # the processes read this file
+    few = ec.study.grid(alpha=(0.1,), beta=(0.0, 0.1))
+    ec.study.run(few, area, "results", workers=2, progress=print)
 
-
-def compute(most):
-    """Compute what is not yet in results/growth.jsonl, and stop after so many outcomes."""
-    done = 0
-    for _, outcome, cases in islice(campaign.run([study], "results", jobs=2), most):
-        if isinstance(outcome, Exception):
-            raise outcome
-        done += cases
-        news = f"{outcome.parameters}" if outcome else "found in the file"
-        print(f"{done}/{CASES}: {news}")
-
-
-if __name__ == "__main__":  # the processes import this file
-    compute(most=2)  # as if interrupted
-    compute(most=CASES)
-    rows = campaign.read("results/growth.jsonl")
-    for row in sorted(rows, key=lambda row: tuple(row.parameters.values())):
+    # A study that is made larger goes on, and so does one that was interrupted or killed: each
+    # finished case is a line of results/area.jsonl.
+    cases = ec.study.grid(alpha=(0.1, 1.0), beta=(0.0, 0.1, 0.2))
+    found = ec.study.run(cases, area, "results", workers=2, progress=print)
+    for row in found.rows:
         print(f"{row.parameters}: area {row.results['area']:.5f}")

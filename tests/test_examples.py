@@ -103,10 +103,10 @@ def test_an_example_prints_its_numbers(path, run):
         assert abs(float(found[1]) - number) <= tolerance, found[0]
 
 
-def test_an_interrupted_study_computes_nothing_twice(run):
+def test_a_study_that_goes_on_computes_nothing_twice(run):
     folder, out = run(ROOT / "examples" / "parameter_study.py")
-    assert out.count("found in the file") == 2
-    assert len((folder / "results" / "growth.jsonl").read_text("utf8").splitlines()) == 6
+    assert out.count(": found\n") == 2
+    assert len((folder / "results" / "area.jsonl").read_text("utf8").splitlines()) == 6
 
 
 def test_each_example_is_a_page_and_is_shown_in_the_book():

@@ -16,7 +16,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
-from esfem_core.companion.environment import source_hash
+from esfem_core.study.environment import source_hash
 
 INPUTS = ("esfem_core/companion/data/**/*", "requirements.lock")  # beside the package
 

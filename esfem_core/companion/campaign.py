@@ -1,32 +1,19 @@
-"""Long runs that may be interrupted: cases in parallel, one line of a file for each finished case.
+"""The book's long runs and what they have given.
 
-An experiment is a function of its parameters and a list of chains of parameters. The cases of a
-chain run in their order, so that a chain can end early (when a smaller step changes nothing any
-more); different chains run side by side. Each finished case is appended to a file of JSON lines,
-with what is needed to judge and to repeat it; a second run goes on where the first one stopped.
-A row knows the code that made it: :func:`renew` computes again those that other code has made.
-:func:`stored` reads the rows that the book shows.
+They are experiments of :mod:`esfem_core.study.campaign`, whose rows are data of the package.
+:func:`stored` reads the rows that the book shows; :func:`renew` computes again those that other
+code has made.
 """
 
 import json
 import math
-import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    Future,
-    ProcessPoolExecutor,
-    as_completed,
-    wait,
-)
-from dataclasses import dataclass
-from multiprocessing import get_context
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from esfem_core.checks import number, whole_number
-from esfem_core.companion.environment import code_of, environment
+from esfem_core.study import Experiment, Row, case, is_current, outcomes, read, select
 
 __all__ = [
     "DATA",
@@ -44,87 +31,8 @@ __all__ = [
     "stored",
 ]
 
-Parameters = Mapping[str, Any]
-Results = Mapping[str, Any]
-
 DATA = Path(__file__).parent / "data"
 """Folder of the book's stored results, a part of the package."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What to compute, and for which parameters.
-
-    Attributes
-    ----------
-    name : str
-        Also the name of the file of results, without ".jsonl".
-    title : str
-        One line: what it reproduces.
-    compute : callable
-        ``compute(**parameters)`` returns a dict of JSON values. It is called in another process,
-        so it must be a function of a module.
-    chains : sequence of sequences of dict
-        Parameters of the cases, JSON values only. Those of a chain are computed in order.
-    enough : callable, optional
-        ``enough(previous, current)`` looks at two neighbouring results of a chain; if it says True,
-        the rest of the chain is left out.
-    """
-
-    name: str
-    title: str
-    compute: Callable[..., Results]
-    chains: Sequence[Sequence[Parameters]]
-    enough: Callable[[Results, Results], bool] | None = None
-
-
-@dataclass(frozen=True)
-class Row:
-    """One finished case.
-
-    Attributes
-    ----------
-    parameters, results : dict
-    provenance : dict
-        "seconds", and what :func:`esfem_core.companion.environment.environment` says of the
-        experiment's function.
-    """
-
-    parameters: Parameters
-    results: Results
-    provenance: Mapping[str, Any]
-
-
-def read(path: str | Path) -> list[Row]:
-    """The finished cases in a file; none if there is no such file yet.
-
-    Raises
-    ------
-    ValueError
-        If a line other than the last is not a row. (A last line without its end is what an
-        interrupted run leaves; it is not read.)
-    """
-    path = Path(path)
-    if not path.exists():
-        return []
-    *lines, _ = path.read_text("utf8").split("\n")
-    try:
-        return [Row(**json.loads(line)) for line in lines]
-    except (json.JSONDecodeError, TypeError) as error:
-        raise ValueError(f"{path} is not a file of results: {error}") from error
-
-
-def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
-    """Rows with these parameters.
-
-    Examples
-    --------
-    >>> rows = [Row({"order": p, "step": s}, {}, {}) for p in (1, 2) for s in (0.1, 0.05)]
-    >>> [row.parameters["step"] for row in select(rows, order=2)]
-    [0.1, 0.05]
-    """
-    wanted = parameters.items()
-    return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
 
 
 def stored(name: str, /, **parameters: Any) -> list[Row]:
@@ -207,8 +115,8 @@ def provenance(rows: Sequence[Row]) -> str:
     seconds = sum(row.provenance["seconds"] for row in rows)
     versions: dict[str, set[str]] = {}
     for row in rows:
-        version, source = _source(row)
-        versions.setdefault(version, set()).add(source)
+        version = row.provenance["esfem_core"].partition(", source ")[0]
+        versions.setdefault(version, set()).add(row.code)
     code = (f"{name}, source {_enumerated(versions[name])}" for name in sorted(versions))
 
     def values(name: str) -> str:
@@ -218,12 +126,6 @@ def provenance(rows: Sequence[Row]) -> str:
         f"{len(rows)} run{'s' * (len(rows) > 1)}, {_duration(seconds)} in all, "
         f"on {values('machine')},\n{values('date')}, esfem_core {'; '.join(code)}"
     )
-
-
-def _source(row: Row) -> tuple[str, str]:
-    """Version of the package that made a row, and hash of its code."""
-    version, _, source = row.provenance["esfem_core"].partition(", source ")
-    return version, source
 
 
 def _enumerated(names: Iterable[str]) -> str:
@@ -238,26 +140,10 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s"
 
 
-def case(experiment: Experiment, parameters: Parameters) -> Row:
-    """Compute one case here and now."""
-    where = environment(experiment.compute)  # first: files may be edited in the meantime
-    start = time.perf_counter()
-    results = experiment.compute(**parameters)
-    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **where})
-
-
-def is_current(experiment: Experiment, row: Row) -> bool:
-    """Whether a row was made by the code as it is now, as far as its experiment reaches it.
-
-    Docstrings, comments and parts of the package that the experiment does not use do not count.
-    """
-    return _source(row)[1] == code_of(experiment.compute)
-
-
 def run(
     experiments: Sequence[Experiment], folder: str | Path, jobs: int | None = None
 ) -> Iterator[tuple[Experiment, Row | Exception | None, int]]:
-    """Compute all cases that are not yet in the files of a folder.
+    """Compute all cases that are not yet in the files of a folder, whatever code has made those.
 
     Parameters
     ----------
@@ -282,48 +168,9 @@ def run(
     OSError
         If the folder cannot be made.
     """
-    jobs = os.cpu_count() if jobs is None else whole_number("jobs", jobs, 1)
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    return _run(experiments, folder, jobs)
-
-
-def _run(
-    experiments: Sequence[Experiment], folder: Path, jobs: int | None
-) -> Iterator[tuple[Experiment, Row | Exception | None, int]]:
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-    running: dict[Future[Row], _Chain] = {}
-
-    def go_on(chain: "_Chain") -> None:
-        if chain.waiting:
-            running[pool.submit(case, chain.experiment, chain.waiting[0])] = chain
-
-    try:
-        for experiment in experiments:
-            known = read(_path(folder, experiment))
-            _truncate(_path(folder, experiment))
-            for cases in experiment.chains:
-                chain = _Chain(experiment, list(cases))
-                for parameters in cases:
-                    found = [row for row in known if row.parameters == parameters]
-                    if not found or not chain.waiting:
-                        break
-                    yield experiment, None, chain.settle(found[-1])
-                go_on(chain)
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                chain = running.pop(future)
-                error = future.exception()
-                if isinstance(error, Exception):
-                    yield chain.experiment, error, len(chain.waiting)
-                    continue
-                row = future.result()
-                with _path(folder, chain.experiment).open("a", encoding="utf8") as file:
-                    file.write(json.dumps(vars(row)) + "\n")
-                yield chain.experiment, row, chain.settle(row)
-                go_on(chain)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    jobs = None if jobs is None else whole_number("jobs", jobs, 1)
+    coming = outcomes(experiments, folder, workers=jobs)
+    return ((o.experiment, None if o.found else o.row or o.error, o.cases) for o in coming)
 
 
 def renew(
@@ -351,40 +198,23 @@ def renew(
     TypeError, ValueError
         If jobs is no positive integer; at once, not when the first outcome is asked for.
     """
-    jobs = os.cpu_count() if jobs is None else whole_number("jobs", jobs, 1)
-    return _renew(experiments, Path(folder), jobs)
-
-
-def _renew(
-    experiments: Sequence[Experiment], folder: Path, jobs: int | None
-) -> Iterator[tuple[Experiment, Row, Row | Exception]]:
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-    try:
-        running = {
-            pool.submit(case, experiment, row.parameters): (experiment, row)
-            for experiment in experiments
-            for row in read(_path(folder, experiment))
-            if not is_current(experiment, row)
-        }
-        for future in as_completed(running):
-            experiment, old = running[future]
-            error = future.exception()
-            if isinstance(error, Exception):
-                yield experiment, old, error
-                continue
-            new = future.result()
-            _replace(_path(folder, experiment), old, new)
-            yield experiment, old, new
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _replace(path: Path, old: Row, new: Row) -> None:
-    """Put a row in the place of another; an interruption leaves the file as it was."""
-    rows = [new if row == old else row for row in read(path)]
-    other = path.with_suffix(".new")
-    other.write_text("".join(json.dumps(vars(row)) + "\n" for row in rows), "utf8")
-    other.replace(path)
+    jobs = None if jobs is None else whole_number("jobs", jobs, 1)
+    old = {
+        (experiment.name, json.dumps(row.parameters)): row
+        for experiment in experiments
+        for row in read(experiment.path(folder))
+        if not is_current(experiment, row)
+    }
+    stale = [
+        replace(e, chains=[[r.parameters] for (name, _), r in old.items() if name == e.name])
+        for e in experiments
+    ]
+    coming = outcomes(stale, folder, workers=jobs, stale="renew")
+    return (
+        (o.experiment, old[o.experiment.name, json.dumps(o.parameters)], found)
+        for o in coming
+        if (found := o.row or o.error)
+    )
 
 
 def changes(old: Any, new: Any, share: float = 0.01) -> list[tuple[str, Any, Any]]:
@@ -433,31 +263,3 @@ def _alike(a: Any, b: Any, share: float) -> bool:
         both_nan = math.isnan(a) and math.isnan(b)
         return both_nan or math.isclose(a, b, rel_tol=share, abs_tol=1e-12)
     return bool(a == b)
-
-
-class _Chain:
-    """What is left of a chain."""
-
-    def __init__(self, experiment: Experiment, waiting: list[Parameters]) -> None:
-        self.experiment, self.waiting = experiment, waiting
-        self.last: Row | None = None
-
-    def settle(self, row: Row) -> int:
-        """Take the result of the first case that waits; the number of cases which that settles."""
-        enough = self.experiment.enough
-        before = len(self.waiting)
-        stop = self.last and enough and enough(self.last.results, row.results)
-        self.waiting = [] if stop else self.waiting[1:]
-        self.last = row
-        return before - len(self.waiting)
-
-
-def _path(folder: Path, experiment: Experiment) -> Path:
-    return folder / f"{experiment.name}.jsonl"
-
-
-def _truncate(path: Path) -> None:
-    """Drop a last line that an interruption has cut off."""
-    text = path.read_text("utf8") if path.exists() else ""
-    if not text.endswith("\n") and text:
-        path.write_text(text[: text.rfind("\n") + 1], "utf8")

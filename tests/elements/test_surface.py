@@ -55,7 +55,8 @@ class TestAgainstTheSpace:
             space.gradient(x, fields["several"]),
         )
         for key, values in zip(KEYS, expected, strict=True):
-            np.testing.assert_array_equal(get(at, key), values, err_msg=key)
+            # Equal to the last bit, but where a BLAS sums in another order.
+            np.testing.assert_allclose(get(at, key), values, rtol=1e-12, atol=1e-14, err_msg=key)
         for matrix in (at.M, at.A):
             assert np.shares_memory(matrix.indices, space.pattern.indices)
 
@@ -165,7 +166,7 @@ class TestWeightedMatrices:
         assert np.shares_memory(found.indices, space.pattern.indices)
         assert abs(found - found.T).max() == 0
         scale = max(abs(expected).max(), 1e-300)
-        np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=2e-13 * scale)
+        np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=1e-12 * scale)
 
     def test_only_the_tangential_part_of_a_tensor_counts(self, case):
         space, x, _ = case
@@ -175,7 +176,7 @@ class TestWeightedMatrices:
         K = at.matrix(stiffness=tensor)
         assert abs(at.matrix(stiffness=tensor + 7 * normal) - K).max() < 1e-12 * abs(K).max()
         P = np.eye(3) - normal
-        assert abs(at.matrix(stiffness=P) - at.A).max() < 1e-13 * abs(at.A).max()
+        assert abs(at.matrix(stiffness=P) - at.A).max() < 1e-12 * abs(at.A).max()
 
     def test_matrices_may_be_written_to_without_harm(self, case):
         space, x, _ = case

@@ -3,7 +3,6 @@
 The command that runs them is ``python -m esfem_core.companion.experiments``.
 """
 
-from esfem_core.companion.campaign import Experiment
 from esfem_core.companion.experiments import (
     baseball_bat,
     ellipsoid,
@@ -12,6 +11,7 @@ from esfem_core.companion.experiments import (
     mass_runtime,
     theorem,
 )
+from esfem_core.study import Experiment
 
 __all__ = ["EXPERIMENTS"]
 

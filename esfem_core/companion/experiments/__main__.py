@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -15,9 +14,6 @@ from esfem_core.companion.experiments import EXPERIMENTS
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; the exit status is 1 if a case failed."""
-    # One thread in each of the processes started here.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _options(arguments)
     return _renew(options) if options.stale else _run(options)
 

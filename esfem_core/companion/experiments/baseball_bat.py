@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
 from esfem_core.checks import Array
-from esfem_core.companion.campaign import Experiment
 from esfem_core.companion.revolution import cosine_mode
+from esfem_core.study import Experiment
 
 __all__ = [
     "EXPERIMENTS",

@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import esfem_core as ec
 from esfem_core.checks import one_of
-from esfem_core.companion.campaign import Experiment
 from esfem_core.problems import Evaluation, Solution
+from esfem_core.study import Experiment
 from esfem_core.surfaces import bisected_sphere
 
 __all__ = ["EXPERIMENTS", "chain", "compute", "settled"]

@@ -8,10 +8,10 @@ import trimesh
 
 import esfem_core as ec
 from esfem_core.checks import Array, one_of
-from esfem_core.companion.campaign import Experiment
 from esfem_core.companion.experiments.theorem import Norms, left_hand_sides
 from esfem_core.problems import Coupling
 from esfem_core.stepping import exact_state
+from esfem_core.study import Experiment
 
 __all__ = ["EXPERIMENTS", "errors_at_end", "lifted_sides", "make_space", "time_errors"]
 

@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 
 import esfem_core as ec
 from esfem_core.checks import Array, one_of, whole_number
-from esfem_core.companion.campaign import Experiment
 from esfem_core.stepping import Mass, exact_state
+from esfem_core.study import Experiment
 
 __all__ = ["EXPERIMENTS", "SURFACES", "compare_masses", "orders"]
 

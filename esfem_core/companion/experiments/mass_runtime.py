@@ -11,8 +11,8 @@ from scipy.sparse import coo_array, csr_array
 
 import esfem_core as ec
 from esfem_core.checks import Array, number
-from esfem_core.companion.campaign import Experiment
 from esfem_core.elements import tabulate
+from esfem_core.study import Experiment
 
 __all__ = ["EXPERIMENTS", "assemble_by_element", "runtime"]
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 import esfem_core as ec
-from esfem_core.companion.campaign import Experiment
 from esfem_core.errors import seminorm
 from esfem_core.stepping import exact_state
+from esfem_core.study import Experiment
 from esfem_core.surfaces import displaced
 
 __all__ = ["EXPERIMENTS", "Norms", "left_hand_sides", "nodal_sides"]

@@ -1,20 +1,31 @@
-"""What the result of a function of this package depends on: the code that it reaches, as one hash.
+"""What the result of a function depends on: the code that it reaches, as one hash.
 
 Stored results are as good as the code that made them. A hash of the whole package would call them
 out of date after every change of a docstring or of a picture; here a function's own code is
 followed, name by name, through the definitions of the package that it can reach. Docstrings,
 comments and layout do not count.
+
+Code of the package is read from its files. That of a user, which may stand in a notebook, is
+followed from object to object: functions, classes, and the values of the names that they use.
 """
 
 import ast
+import functools
 import hashlib
-from collections.abc import Callable, Iterator
+import inspect
+import sys
+import sysconfig
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
-__all__ = ["code_hash", "reached"]
+import numpy as np
+
+__all__ = ["code_hash", "code_of", "is_of_package", "reached"]
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -36,6 +47,171 @@ class _Module:
     definitions: dict[str, list[ast.stmt]] = field(default_factory=dict)
     always: list[ast.stmt] = field(default_factory=list)
     imports: dict[str, tuple[str, str | None]] = field(default_factory=dict)
+
+
+def is_of_package(function: Callable[..., Any]) -> bool:
+    """Whether a function is defined at the top of a module of this package."""
+    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
+    return isinstance(function, FunctionType) and _is_at_top(module, name)
+
+
+def _is_at_top(module: str | None, name: str) -> bool:
+    read = _read(module, PACKAGE) if module else None
+    return read is not None and name in read.definitions
+
+
+def code_of(function: Callable[..., Any]) -> str:
+    """Hash of the code that decides what a function returns, of this package or of a user.
+
+    For a user's function, other functions and classes of the user that it reaches count, and the
+    values of the names that it uses: numbers, strings, arrays, and lists and dicts of them. Other
+    objects count by their class, other packages not at all.
+
+    Examples
+    --------
+    >>> def area(radius):
+    ...     return factor * radius**2
+    >>> factor = 3
+    >>> before = code_of(area)
+    >>> factor = 4
+    >>> code_of(area) == before
+    False
+    """
+    if is_of_package(function):
+        return code_hash(function)
+    walk = _Walk()
+    walk.add(function)
+    return hashlib.sha256("\0".join(walk.texts).encode()).hexdigest()[:12]
+
+
+class _Walk:
+    """Texts of all that a user's function reaches, in the order in which it is met."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self._seen: dict[int, Any] = {}  # keeps what it has seen alive, so that no id is used twice
+
+    def add(self, value: Any) -> None:
+        """Follow a value: code as far as it goes, data by content."""
+        if isinstance(value, str | int | float | complex | None | np.generic):
+            self.texts.append(repr(value))
+        elif isinstance(value, np.ndarray):
+            data = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+            self.texts.append(f"{value.dtype} {value.shape} {data}")
+        elif id(value) in self._seen:
+            self.texts.append("as before")
+        else:
+            self._seen[id(value)] = value
+            self._add_object(value)
+
+    def _add_object(self, value: Any) -> None:
+        if isinstance(value, Mapping | list | tuple | set | frozenset):
+            self.texts.append(f"{type(value).__name__} of {len(value)}")
+        if isinstance(value, functools.partial):
+            self._add_all([value.func, value.args, value.keywords])
+        elif isinstance(value, MethodType):
+            self._add_all([value.__func__, value.__self__])
+        elif isinstance(value, FunctionType | type):
+            self._add_definition(value)
+        elif isinstance(value, Mapping):
+            self._add_all(part for item in value.items() for part in item)
+        elif isinstance(value, list | tuple):
+            self._add_all(value)
+        elif isinstance(value, set | frozenset):
+            self._add_all(sorted(value, key=repr))
+        elif isinstance(value, staticmethod | classmethod):
+            self.add(value.__func__)
+        elif isinstance(value, property):
+            self._add_all([value.fget, value.fset])
+        elif isinstance(value, ModuleType):
+            self.texts.append(value.__name__)
+        else:
+            self.add(type(value))
+
+    def _add_all(self, values: Any) -> None:
+        for value in values:
+            self.add(value)
+
+    def _add_definition(self, value: Any) -> None:
+        """Follow a function or a class."""
+        module, name = value.__module__, value.__qualname__
+        self.texts.append(name)
+        if _is_at_top(module, top := name.partition(".")[0]):
+            self.texts.append(_hash(module, top, PACKAGE))
+        elif _is_library(module):
+            pass
+        elif isinstance(value, type):
+            self._add_all(value.__bases__)
+            for key, member in vars(value).items():
+                if key not in LEFT_OUT:
+                    self._add_all([key, member])
+        else:
+            self._add_function(inspect.unwrap(value))
+
+    def _add_function(self, function: Any) -> None:
+        inner = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        names = {**function.__globals__}
+        for name, cell in inner:
+            try:
+                names[name] = cell.cell_contents
+            except ValueError:  # not bound yet
+                names.pop(name, None)
+        text, chains = _source(function)
+        self.texts.append(text)
+        self._add_all([function.__defaults__, function.__kwdefaults__])
+        for name, *rest in chains:
+            if name in names:
+                found = names[name]
+                while rest and isinstance(found, ModuleType) and not _is_library(found.__name__):
+                    found = getattr(found, rest.pop(0), None)
+                self.add(found)
+
+
+LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {
+    "__firstlineno__",
+    "__static_attributes__",
+    "__annotations__",
+}
+
+
+def _source(function: Any) -> tuple[str, list[list[str]]]:
+    """Code of a user's function, and the a.b.c in it; its byte code where it has no source."""
+    if function.__name__ != "<lambda>":
+        try:
+            tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+        except (OSError, TypeError, SyntaxError):
+            pass
+        else:
+            return repr(_plain(tree.body)), [list(c) for s in tree.body for c in _chains(s)]
+    codes = list(_codes(function.__code__))
+    names = dict.fromkeys(name for code in codes for name in (*code.co_names, *code.co_freevars))
+    texts = ((c.co_code, [k for k in c.co_consts if not isinstance(k, CodeType)]) for c in codes)
+    return repr([*texts, *names]), [[name] for name in names]
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """The byte code of a function and of the functions in it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+def _head(module: str | None) -> str:
+    return (module or "").partition(".")[0]
+
+
+@cache
+def _is_library(module: str | None) -> bool:
+    """Whether a module is none of the user's: built in, or installed."""
+    if module in (None, "__main__", "__mp_main__"):
+        return module is None
+    file = getattr(sys.modules.get(_head(module)), "__file__", None)
+    if file is None:
+        return _head(module) in sys.stdlib_module_names
+    path = Path(file)
+    standard = Path(sysconfig.get_path("stdlib"))
+    return bool({"site-packages", "dist-packages"} & set(path.parts)) or standard in path.parents
 
 
 def code_hash(function: Callable[..., Any]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from esfem_core.companion import environment
+from esfem_core.study import environment
 
 ROOT = Path(__file__).parents[2]
 

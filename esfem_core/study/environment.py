@@ -4,19 +4,15 @@ import hashlib
 import os
 import platform
 import sys
-from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
 
-from esfem_core.companion.dependencies import code_hash
-
-__all__ = ["code_of", "environment", "source_hash"]
+__all__ = ["environment", "source_hash"]
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -62,34 +58,23 @@ def _package() -> str:
     return source_hash()
 
 
-def code_of(function: Callable[..., Any]) -> str:
-    """Hash of the code that decides what a function returns: "this code" of a stored result.
-
-    For a function of this package it is the code that the function reaches, see
-    :mod:`esfem_core.companion.dependencies`; for any other one, the whole package.
-    """
-    inside = function.__module__.partition(".")[0] == PACKAGE.name
-    return code_hash(function) if inside else _package()
-
-
-def environment(function: Callable[..., Any] | None = None) -> dict[str, str]:
+def environment(code: str | None = None) -> dict[str, str]:
     """Date (UTC), code, libraries and machine.
 
     Parameters
     ----------
-    function : callable, optional
-        What computed the result; "esfem_core" has the hash of its code, or of the whole package if
-        None.
+    code : str, optional
+        Hash of the code that computed the result, see
+        :func:`esfem_core.study.dependencies.code_of`; that of the whole package if None.
 
     Examples
     --------
     >>> list(environment())
     ['date', 'esfem_core', 'python', 'numpy', 'scipy', 'machine']
     """
-    code = _package() if function is None else code_of(function)
     return {
         "date": datetime.now(UTC).date().isoformat(),
-        "esfem_core": f"{version('esfem-core')}, source {code}",
+        "esfem_core": f"{version('esfem-core')}, source {code or _package()}",
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,

@@ -1,0 +1,465 @@
+"""Studies of many cases: in parallel, resumed by content, and none lost.
+
+An experiment is a function of its parameters and a list of chains of parameters. The cases of a
+chain run in their order, so that a chain can end early (when a smaller step changes nothing any
+more); different chains run side by side. Each finished case is a line of a file, with what is
+needed to judge and to repeat it; a second run goes on where the first one stopped, and runs that
+are started at the same time, also on several machines with a common folder, share the cases among
+them.
+"""
+
+import re
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from dataclasses import dataclass, replace
+from pathlib import Path
+from pickle import loads
+from typing import Any, Literal, NamedTuple
+
+from esfem_core.checks import one_of, shown, whole_number
+from esfem_core.study.dependencies import code_of, is_of_package
+from esfem_core.study.environment import environment
+from esfem_core.study.locks import StudyWarning
+from esfem_core.study.processes import Processes, WorkerLostError, pickled, transportable
+from esfem_core.study.rows import (
+    Parameters,
+    Row,
+    Store,
+    plain,
+    set_aside,
+    told,
+)
+
+__all__ = [
+    "Experiment",
+    "Failure",
+    "Outcome",
+    "Stale",
+    "case",
+    "checked",
+    "is_current",
+    "listed",
+    "outcomes",
+]
+
+ATTEMPTS = 2
+"""How often a case is begun whose process dies."""
+
+POLL = 0.2
+"""Seconds between two looks at what other runs have finished."""
+
+Stale = Literal["renew", "keep"]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to compute, and for which parameters.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of the file of results, without ".jsonl".
+    title : str
+        One line: what it reproduces.
+    compute : callable
+        ``compute(**parameters)`` returns a dict of what :func:`esfem_core.study.rows.plain` takes:
+        numbers, strings, arrays, lists and dicts.
+    chains : sequence of sequences of dict
+        Parameters of the cases. Those of a chain are computed in order.
+    enough : callable, optional
+        ``enough(previous, current)`` looks at two neighbouring results of a chain; if it says True,
+        the rest of the chain is left out.
+    """
+
+    name: str
+    title: str
+    compute: Callable[..., Mapping[str, Any]]
+    chains: Sequence[Sequence[Parameters]]
+    enough: Callable[[Mapping[str, Any], Mapping[str, Any]], bool] | None = None
+
+    def path(self, folder: str | Path) -> Path:
+        """The file of results in a folder."""
+        return Path(folder) / f"{self.name}.jsonl"
+
+
+class Outcome(NamedTuple):
+    """What became of a case.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    parameters : dict
+    row : Row or None
+    error : Exception or None
+        Why there is no row.
+    found : bool
+        Whether the row was in the file already, or came from another run.
+    cases : int
+        How many cases this settles: more than one where a chain ends early.
+    """
+
+    experiment: Experiment
+    parameters: Parameters
+    row: Row | None
+    error: Exception | None
+    found: bool
+    cases: int
+
+
+class Failure(NamedTuple):
+    """A case without a result, and why."""
+
+    parameters: Parameters
+    error: Exception
+
+
+def case(experiment: Experiment, parameters: Parameters) -> Row:
+    """Compute one case here and now, without a file.
+
+    Raises
+    ------
+    Exception
+        What the experiment's function raises.
+    """
+    return _computed(experiment.compute, parameters, code_of(experiment.compute))
+
+
+def is_current(experiment: Experiment, row: Row) -> bool:
+    """Whether a row was made by the code as it is now, as far as its experiment reaches it.
+
+    Docstrings, comments and code that the experiment does not use do not count.
+    """
+    return row.code == code_of(experiment.compute)
+
+
+def listed(name: str, cases: Any) -> list[Any]:
+    """The cases of a study or of a chain.
+
+    Raises
+    ------
+    TypeError
+        If they are no list.
+    """
+    if isinstance(cases, Mapping | str) or not isinstance(cases, Iterable):
+        raise TypeError(f"{name} must be a list of dicts of parameters, got {shown(cases)}")
+    return list(cases)
+
+
+def outcomes(
+    experiments: Sequence[Experiment],
+    folder: str | Path,
+    executor: Executor | None = None,
+    *,
+    workers: int | None = None,
+    threads: int | None = 1,
+    stale: Stale = "keep",
+) -> Iterator[Outcome]:
+    """Compute the cases of experiments that are not yet in their files, and show them as they come.
+
+    The loop may be left at any time: what is finished is kept, what runs in processes of our own is
+    ended.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    folder, executor, workers, threads, stale
+        As for :func:`esfem_core.study.cases.run`; what it raises is raised here, at once or in the
+        loop.
+
+    Yields
+    ------
+    Outcome
+    """
+    one_of("stale", stale, Stale)
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(
+            f"executor must be a concurrent.futures.Executor or None, got {shown(executor)}"
+        )
+    workers = None if workers is None else whole_number("workers", workers, 0)
+    limit: float = float("inf") if workers is None else max(workers, 1)
+    studies = [checked(experiment) for experiment in experiments]
+    own = None
+    if executor is None and workers != 0:
+        executor = own = Processes(workers, threads)
+        limit = own.workers
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    campaign = _Campaign(executor or _Here(), own, 1 if executor is None else limit, threads)
+    for experiment in studies:
+        campaign.add(experiment, Path(folder), stale, _sent(experiment.compute, executor))
+    return campaign.outcomes()
+
+
+def checked(experiment: Experiment) -> Experiment:
+    """An experiment with parameters as a file can hold them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If something in it is not what it must be.
+    """
+    if not callable(experiment.compute):
+        raise TypeError(f"compute must be a function, got {shown(experiment.compute)}")
+    name = experiment.name
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
+        raise ValueError(f"name must be made of letters, digits, '_', '-' and '.', got {name!r}")
+    chains = [listed("a chain of cases", chain) for chain in experiment.chains]
+    for parameters in (case for chain in chains for case in chain):
+        if not isinstance(parameters, Mapping):
+            raise TypeError(f"a case must be a dict of parameters, got {shown(parameters)}")
+    return replace(experiment, chains=[[plain("a case", c) for c in chain] for chain in chains])
+
+
+def _sent(compute: Callable[..., Any], executor: Executor | None) -> Any:
+    """What an executor is given of a function: bytes where it goes to another process.
+
+    Executors of other kinds, such as those of Dask, have ways of their own.
+    """
+    return pickled(compute) if isinstance(executor, Processes | ProcessPoolExecutor) else compute
+
+
+def _attempt(sent: Any, parameters: Parameters, code: str) -> Row | Failure:
+    """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
+    try:
+        return _computed(loads(sent) if isinstance(sent, bytes) else sent, parameters, code)
+    except (Exception, SystemExit) as error:
+        return Failure(parameters, transportable(error))
+
+
+def _computed(compute: Callable[..., Any], parameters: Parameters, code: str) -> Row:
+    # Code and date first: files may be edited in the meantime. A process that has read the package
+    # later than the one that began the study tells what it has read.
+    where = environment(code_of(compute) if is_of_package(compute) else code)
+    start = time.perf_counter()
+    results = plain("results", compute(**parameters))
+    if not isinstance(results, dict):
+        raise TypeError(f"results must be a dict, got {shown(results)}")
+    return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **where})
+
+
+class _Here(Executor):
+    """Computes in this process, one after the other."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+class _Chain:
+    """What is left of a chain."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        store: Store,
+        sent: Any,
+        code: str,
+        wanted: str | None,
+        waiting: list[Parameters],
+    ) -> None:
+        self.experiment, self.store, self.sent = experiment, store, sent
+        self.code, self.wanted = code, wanted
+        self.waiting = waiting
+        self.attempts = 0
+        self._last: Row | None = None
+
+    def find(self) -> Row | None:
+        """The row of the next case, if there is one that counts."""
+        row = self.store.find(self.waiting[0])
+        return row if row and self.wanted in (None, row.code) else None
+
+    def settled(self, row: Row, *, found: bool) -> Outcome:
+        """Take the row of the next case."""
+        enough, parameters = self.experiment.enough, self.waiting[0]
+        before = len(self.waiting)
+        stop = self._last and enough and enough(self._last.results, row.results)
+        self.waiting = [] if stop else self.waiting[1:]
+        self._last, self.attempts = row, 0
+        cases = before - len(self.waiting)
+        return Outcome(self.experiment, parameters, row, None, found, cases)
+
+    def failed(self, error: Exception) -> Outcome:
+        """End here."""
+        parameters, cases = self.waiting[0], len(self.waiting)
+        self.waiting = []
+        return Outcome(self.experiment, parameters, None, error, False, cases)
+
+
+class _Campaign:
+    """Chains that wait, and chains that are being computed here or by another run."""
+
+    def __init__(
+        self, executor: Executor, own: Processes | None, limit: float, threads: int | None
+    ) -> None:
+        self.waiting: deque[_Chain] = deque()
+        self._running: dict[Future[Any], _Chain] = {}
+        self._executor, self._limit, self._threads = executor, limit, threads
+        self._own = own  # processes that end with the campaign
+        self._stores: list[Store] = []
+        self._unsaved: list[tuple[Store, Row]] = []
+        self._reason: Exception = OSError()
+
+    def add(self, experiment: Experiment, folder: Path, stale: Stale, sent: Any) -> None:
+        """Take in the chains of an experiment."""
+        store, code = Store(experiment.path(folder)), code_of(experiment.compute)
+        self._stores.append(store)
+        wanted = code if stale == "renew" else None
+        for chain in experiment.chains:
+            self.waiting.append(_Chain(experiment, store, sent, code, wanted, list(chain)))
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """Find, compute and keep."""
+        try:
+            for chain in self.waiting:
+                yield from self._found(chain)
+            self.waiting = deque(chain for chain in self.waiting if chain.waiting)
+            while self.waiting or self._running:
+                yield from self._begin()
+                yield from self._finish()
+        finally:
+            self._stop()
+        if self._unsaved:
+            raise set_aside(self._unsaved, self._reason)
+
+    def _found(self, chain: _Chain) -> Iterator[Outcome]:
+        while chain.waiting and (row := chain.find()):
+            yield chain.settled(row, found=True)
+
+    def _begin(self) -> Iterator[Outcome]:
+        """Give the executor what it can take, and nobody else has begun."""
+        for _ in range(len(self.waiting)):
+            if len(self._running) >= self._limit:
+                break
+            chain = self.waiting.popleft()
+            yield from self._found(chain)
+            if not chain.waiting:
+                continue
+            if not chain.store.claim(chain.waiting[0]):
+                self.waiting.append(chain)
+            elif chain.find():  # finished since we looked
+                chain.store.release(chain.waiting[0])
+                self.waiting.appendleft(chain)
+            else:
+                self._submit(chain)
+
+    def _submit(self, chain: _Chain) -> None:
+        arguments = chain.sent, chain.waiting[0], chain.code
+        try:
+            future = self._executor.submit(_attempt, *arguments)
+        except BrokenExecutor as error:
+            self._replace(error)
+            future = self._executor.submit(_attempt, *arguments)
+        self._running[future] = chain
+
+    def _replace(self, reason: BaseException) -> None:
+        """Go on in processes of our own when somebody else's executor is broken."""
+        if self._own:  # already replaced
+            return
+        warnings.warn(
+            f"the executor is broken ({type(reason).__name__}: {reason}): new processes go on",
+            StudyWarning,
+            stacklevel=2,
+        )
+        self._executor = self._own = Processes(None, self._threads)
+        self._limit = min(self._limit, self._own.workers)
+
+    def _finish(self) -> Iterator[Outcome]:
+        """Wait until a case is finished, here or elsewhere."""
+        if not self._running:
+            if self.waiting:
+                time.sleep(POLL)
+            return
+        others = self.waiting and len(self._running) < self._limit
+        done = wait(self._running, POLL if others else None, FIRST_COMPLETED).done
+        for future in done:
+            yield from self._take(future)
+
+    def _take(self, future: "Future[Any]") -> Iterator[Outcome]:
+        """What has become of a case."""
+        chain = self._running.pop(future)
+        parameters = chain.waiting[0]
+        try:
+            outcome = future.result()
+        except (Exception, CancelledError) as error:
+            chain.store.release(parameters)
+            yield from self._lost(chain, error)
+            return
+        if isinstance(outcome, Failure):
+            chain.store.release(parameters)
+            yield chain.failed(outcome.error)
+            return
+        kept = self._keep(chain.store, outcome)
+        chain.store.release(parameters)
+        settled = chain.settled(kept, found=kept is not outcome)
+        if chain.waiting:
+            self.waiting.append(chain)
+        yield settled
+
+    def _lost(self, chain: _Chain, error: Exception) -> Iterator[Outcome]:
+        """Begin a case again, which has come to nothing by no fault of its function, or give up."""
+        if isinstance(error, BrokenExecutor):  # with many cases at once, of which one is to blame
+            self._replace(error)
+            self.waiting.append(chain)
+        elif isinstance(error, WorkerLostError) and chain.attempts + 1 < ATTEMPTS:
+            chain.attempts += 1
+            self.waiting.append(chain)
+        elif isinstance(error, WorkerLostError) and not error.began:
+            raise error
+        else:
+            yield chain.failed(error)
+
+    def _keep(self, store: Store, row: Row) -> Row:
+        """Write a row, and those that could not be written before."""
+        try:
+            row = store.put(row)
+        except (OSError, ValueError) as error:  # no room, or someone has spoilt the file
+            if not self._unsaved:
+                warnings.warn(
+                    f"{store.path} cannot be written ({told(error)}): finished rows are kept in "
+                    "memory until it can",
+                    StudyWarning,
+                    stacklevel=2,
+                )
+            self._unsaved.append((store, row))
+            self._reason = error
+        else:
+            self._retry()
+        return row
+
+    def _retry(self) -> None:
+        while self._unsaved:
+            store, row = self._unsaved[0]
+            try:
+                store.put(row)
+            except (OSError, ValueError) as error:
+                self._reason = error
+                return
+            self._unsaved.pop(0)
+
+    def _stop(self) -> None:
+        """Leave nothing behind: keep what is finished, end what runs."""
+        interrupted = bool(self._running or self.waiting)
+        for future in self._running:
+            future.cancel()
+        if self._own:
+            self._own.kill()
+        for future, chain in self._running.items():
+            good = future.done() and not future.cancelled() and not future.exception()
+            if good and isinstance(row := future.result(), Row):
+                self._keep(chain.store, row)
+        self._retry()
+        for store in self._stores:
+            store.close()
+        if interrupted and self._unsaved:
+            warnings.warn(str(set_aside(self._unsaved, self._reason)), StudyWarning, stacklevel=2)

@@ -1,0 +1,249 @@
+"""Many cases of one function: the tool for a reader's own studies."""
+
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from esfem_core.study.campaign import (
+    Experiment,
+    Failure,
+    Outcome,
+    Stale,
+    checked,
+    listed,
+    outcomes,
+)
+from esfem_core.study.locks import StudyWarning
+from esfem_core.study.rows import Parameters, Row, case_key
+from esfem_core.tables import html_table
+
+__all__ = ["Results", "grid", "run"]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a study has given; displays as a table in a notebook.
+
+    Attributes
+    ----------
+    rows : list of Row
+        In the order of the cases. Those that failed or were left out are not among them.
+    failures : list of Failure
+    """
+
+    rows: list[Row]
+    failures: list[Failure]
+
+    def _cells(self) -> tuple[list[str], list[list[str]]]:
+        """Parameters, and those results that are single values."""
+        rows = [{**row.parameters, **row.results} for row in self.rows]
+        names = dict.fromkeys(
+            name for row in rows for name in row if not isinstance(row[name], list | dict)
+        )
+        cells = [[_text(row.get(name, "")) for name in names] for row in rows]
+        return list(names), cells
+
+    def __str__(self) -> str:
+        header, cells = self._cells()
+        widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+        lines = [
+            "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True))
+            for row in [header, *cells]
+        ]
+        return "\n".join([*lines, *self._notes()])
+
+    def _notes(self) -> list[str]:
+        return [f"failed: {_named(f.parameters)}: {_told(f.error)}" for f in self.failures]
+
+    def _repr_html_(self) -> str:
+        header, cells = self._cells()
+        table = html_table(map(escape, header), [map(escape, row) for row in cells]).text
+        return table + "".join(f"<p>{escape(note)}</p>" for note in self._notes())
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def grid(**values: Iterable[Any]) -> list[dict[str, Any]]:
+    """All combinations of values of some parameters; the last one changes first.
+
+    Examples
+    --------
+    >>> grid(order=(1, 2), step=(0.1, 0.05))[:3]
+    [{'order': 1, 'step': 0.1}, {'order': 1, 'step': 0.05}, {'order': 2, 'step': 0.1}]
+    """
+    return [dict(zip(values, case, strict=True)) for case in product(*values.values())]
+
+
+def _named(parameters: Parameters) -> str:
+    return ", ".join(f"{name}={value!r}" for name, value in parameters.items())
+
+
+def _told(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def run(
+    cases: Iterable[Parameters | Sequence[Parameters]],
+    compute: Callable[..., Mapping[str, Any]],
+    folder: str | Path,
+    executor: Executor | None = None,
+    *,
+    name: str | None = None,
+    workers: int | None = None,
+    threads: int | None = 1,
+    enough: Callable[[Mapping[str, Any], Mapping[str, Any]], bool] | None = None,
+    stale: Stale = "renew",
+    progress: bool | Callable[[str], object] = True,
+) -> Results:
+    """Compute many cases, each once, and keep each as soon as it is finished.
+
+    What is in the file already is not computed again: a study that was interrupted, killed or made
+    larger goes on. A case is what its parameters are, in whatever order; a row is out of date when
+    the code that its case reaches has changed (see :mod:`esfem_core.study.dependencies`). A case
+    that fails, or whose process dies twice, is reported, and the others go on.
+
+    Parameters
+    ----------
+    cases : iterable of dict, or of sequences of dict
+        Parameters, of numbers, strings, booleans, None, and lists and dicts of them. A sequence is
+        a chain, whose cases are computed one after the other until one fails or `enough` is true.
+    compute : callable
+        ``compute(**parameters)`` returns a dict of numbers, strings, arrays, lists, dicts.
+    folder : path
+        Made if missing; ``<name>.jsonl`` in it has a line of JSON for each row, see
+        :func:`esfem_core.study.read`.
+    executor : concurrent.futures.Executor, optional
+        What computes: a pool, or ``client.get_executor()`` of Dask. Processes of its own if None.
+        It is not shut down; if it breaks, processes of our own go on.
+    name : str, optional
+        Of the file; that of `compute` if None.
+    workers : int, optional
+        Without an executor, the number of processes: one for each core if None, and with 0 all is
+        computed in this process. With an executor, how many cases it is given at a time: all if
+        None.
+    threads : int, optional
+        Threads of the numerical libraries in each of our own processes; None leaves it to them.
+    enough : callable, optional
+        ``enough(previous, current)``, of two neighbouring results of a chain.
+    stale : {"renew", "keep"}
+        Whether rows of other code are computed again, and replaced then, or taken as they are.
+    progress : bool or callable
+        True shows a bar of tqdm, or lines where it is not installed, on the standard error; a
+        function such as ``print`` is given a line for each case.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is none of these, before anything is computed.
+    OSError
+        If nothing can be written into the folder.
+    UnsavedRowsError
+        If finished rows could not be written to the end, such as to a full disk; it says where they
+        are instead.
+    WorkerLostError
+        If processes cannot be started.
+
+    Warns
+    -----
+    StudyWarning
+        If a case failed, a row cannot be written for the time being, or an executor broke.
+
+    Notes
+    -----
+    In a script, a call stands under ``if __name__ == "__main__":``, since worker processes read the
+    script. Functions of a notebook or a shell are sent to them by cloudpickle (extra ``cluster``);
+    without it they must stand in a module, or be computed with ``workers=0``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = tempfile.mkdtemp()
+    >>> def square(side):
+    ...     return {"area": side**2}
+    >>> print(run(grid(side=(1, 2)), square, folder, workers=0, progress=print))
+    1/2 square: side=1: ...
+    2/2 square: side=2: ...
+    side  area
+       1     1
+       2     4
+    >>> _ = run(grid(side=(2, 3)), square, folder, workers=0, progress=print)
+    1/2 square: side=2: found
+    2/2 square: side=3: ...
+    """
+    name = getattr(compute, "__name__", None) if name is None else name
+    chains = [[c] if isinstance(c, Mapping) else c for c in listed("cases", cases)]
+    study = checked(Experiment(name or "", "", compute, chains, enough))
+    coming = outcomes([study], folder, executor, workers=workers, threads=threads, stale=stale)
+    rows: dict[str, Row] = {}
+    failures = []
+    with _reporting(progress, sum(map(len, study.chains))) as report:
+        for outcome in coming:
+            report(outcome)
+            if outcome.row:
+                rows[case_key(outcome.parameters)] = outcome.row
+            elif outcome.error:
+                failures.append(Failure(outcome.parameters, outcome.error))
+    if failures:
+        first = f"{_named(failures[0].parameters)}: {_told(failures[0].error)}"
+        warnings.warn(
+            f"{len(failures)} of the cases failed, the first one with {first}",
+            StudyWarning,
+            stacklevel=2,
+        )
+    keys = dict.fromkeys(case_key(case) for chain in study.chains for case in chain)
+    return Results([rows[key] for key in keys if key in rows], failures)
+
+
+@contextmanager
+def _reporting(
+    progress: bool | Callable[[str], object], total: int
+) -> Iterator[Callable[[Outcome], None]]:
+    """A function that tells of outcomes."""
+    done = 0
+
+    def line(outcome: Outcome) -> str:
+        nonlocal done
+        done += outcome.cases
+        if outcome.error:
+            news = _told(outcome.error)
+        elif outcome.found or not outcome.row:
+            news = "found"
+        else:
+            news = f"{outcome.row.provenance['seconds']:.1f} s"
+        return f"{done}/{total} {outcome.experiment.name}: {_named(outcome.parameters)}: {news}"
+
+    def tell(outcome: Outcome) -> None:
+        if callable(progress):
+            progress(line(outcome))
+        elif progress:
+            print(line(outcome), file=sys.stderr, flush=True)
+
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        tqdm = None
+    if progress is not True or tqdm is None:
+        yield tell
+        return
+    with tqdm(total=total, unit="case") as bar:
+
+        def advance(outcome: Outcome) -> None:
+            if outcome.error:
+                bar.write(line(outcome), file=sys.stderr)
+            bar.set_description(outcome.experiment.name)
+            bar.update(outcome.cases)
+
+        yield advance

@@ -1,0 +1,341 @@
+"""Finished cases, one line of a file each.
+
+A file can be written by several processes at once, which can be killed at any moment: a line is
+appended whole or cut off by the next writer, and a line takes the place of another by a new file
+that replaces the old one. What the parameters are decides which case a line is.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from esfem_core.checks import shown
+from esfem_core.study.locks import FileLocks
+
+__all__ = [
+    "Row",
+    "Store",
+    "UnsavedRowsError",
+    "case_key",
+    "plain",
+    "read",
+    "select",
+    "set_aside",
+    "told",
+]
+
+Parameters = Mapping[str, Any]
+Results = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finished case.
+
+    Attributes
+    ----------
+    parameters, results : dict
+        JSON values.
+    provenance : dict
+        "seconds", and what :func:`esfem_core.study.environment.environment` says of the function
+        that computed it.
+    """
+
+    parameters: Parameters
+    results: Results
+    provenance: Mapping[str, Any]
+
+    @property
+    def code(self) -> str:
+        """Hash of the code that made it."""
+        return str(self.provenance.get("esfem_core", "")).partition(", source ")[2]
+
+
+class UnsavedRowsError(OSError):
+    """Finished rows could not be written.
+
+    Attributes
+    ----------
+    rows : list of Row
+    """
+
+    def __init__(self, message: str, rows: list[Row]) -> None:
+        super().__init__(message)
+        self.rows = rows
+
+
+def plain(name: str, value: Any) -> Any:
+    """A value as JSON can hold it: NumPy's scalars as numbers, its arrays as lists.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    value : object
+        Named tuples become dicts, other tuples lists. NaN and infinity stay what they are.
+
+    Raises
+    ------
+    TypeError
+        If it, or something in it, has no such form.
+
+    Examples
+    --------
+    >>> plain("results", {"n": np.int64(3), "x": np.eye(2), "pair": (1.5, None)})
+    {'n': 3, 'x': [[1.0, 0.0], [0.0, 1.0]], 'pair': [1.5, None]}
+    >>> plain("results", {"n": [1j]})
+    Traceback (most recent call last):
+        ...
+    TypeError: results['n'][0] must be a number, a string, a boolean, None, an array, or a list or
+    a dict of those with strings as keys, got 1j
+    """
+    if isinstance(value, np.generic):
+        value = value.item() if value.dtype.kind in "biuU" else _real(value)
+    elif isinstance(value, np.ndarray):
+        value = value.astype(float).tolist() if value.dtype.kind == "f" else value.tolist()
+    if value is None or isinstance(value, bool):
+        return value
+    for kind in (int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {str(key): plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
+    raise TypeError(
+        f"{name} must be a number, a string, a boolean, None, an array, or a list or a dict of "
+        f"those with strings as keys, got {shown(value)}"
+    )
+
+
+def _real(value: np.generic) -> Any:
+    return float(value) if isinstance(value, np.floating) else value
+
+
+def case_key(parameters: Parameters) -> str:
+    """What tells cases apart: their parameters, in whatever order.
+
+    Examples
+    --------
+    >>> case_key({"b": 1, "a": [0.5]}) == case_key({"a": [0.5], "b": 1.0})
+    True
+    """
+    return json.dumps(_counted(parameters), sort_keys=True)
+
+
+def _counted(value: Any) -> Any:
+    """The same with integers for floats that are integers."""
+    if isinstance(value, Mapping):
+        return {key: _counted(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_counted(entry) for entry in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def read(path: str | Path) -> list[Row]:
+    """The finished cases in a file; none if there is no such file yet.
+
+    Raises
+    ------
+    ValueError
+        If a line other than the last is not a row. (A last line that is cut off is what a killed
+        process leaves; it is not read.)
+    """
+    path = Path(path)
+    return _parse(path, path.read_bytes())[0] if path.exists() else []
+
+
+def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
+    """Rows with these parameters.
+
+    Examples
+    --------
+    >>> rows = [Row({"order": p, "step": s}, {}, {}) for p in (1, 2) for s in (0.1, 0.05)]
+    >>> [row.parameters["step"] for row in select(rows, order=2)]
+    [0.1, 0.05]
+    """
+    wanted = parameters.items()
+    return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
+
+
+def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:
+    """Rows of a file, and how many of its bytes they are."""
+    *lines, last = data.split(b"\n")
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            if line.strip():
+                rows.append(_row(line))
+        except ValueError as error:
+            raise ValueError(f"{path} is not a file of results: line {number}: {error}") from None
+    try:
+        return [*rows, _row(last)], len(data)  # whole, but for its end
+    except ValueError:
+        return rows, len(data) - len(last)
+
+
+def _row(line: bytes) -> Row:
+    found = json.loads(line)
+    if not isinstance(found, dict) or set(found) != {"parameters", "results", "provenance"}:
+        raise ValueError("it must hold parameters, results and provenance")
+    if not all(isinstance(part, dict) for part in found.values()):
+        raise ValueError("parameters, results and provenance must be dicts")
+    return Row(**found)
+
+
+def _line(row: Row) -> bytes:
+    return json.dumps(vars(row)).encode() + b"\n"
+
+
+class Store:
+    """The file of rows of one study, for this process and for others at the same time.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    ValueError
+        If it is not a file of rows.
+    OSError
+        If nothing can be written into its folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.resolve()  # what is replaced is the file, and not a link to it
+        self._rows: dict[str, Row] = {}
+        self._seen: tuple[int, ...] = ()
+        self._claimed: set[str] = set()
+        self._refresh()
+        self._locks = FileLocks(self.path.with_name(f".{self.path.name}.lock"))
+
+    def find(self, parameters: Parameters) -> Row | None:
+        """The row of a case, if the file has one now."""
+        self._refresh()
+        return self._rows.get(case_key(parameters))
+
+    def claim(self, parameters: Parameters) -> bool:
+        """Reserve a case; False if someone else, or this process, computes it already."""
+        key = case_key(parameters)
+        if key in self._claimed or not self._locks.take(_number(key)):
+            return False
+        self._claimed.add(key)
+        return True
+
+    def release(self, parameters: Parameters) -> None:
+        """Let others compute a case."""
+        key = case_key(parameters)
+        self._claimed.discard(key)
+        self._locks.give_back(_number(key))
+
+    def put(self, row: Row) -> Row:
+        """Write a row, in the place of one of the same case that other code has made.
+
+        Returns
+        -------
+        Row
+            What the file has now: another one if someone else was faster.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; the file is then what it was.
+        """
+        with self._locks.writing():
+            self._refresh()
+            key = case_key(row.parameters)
+            old = self._rows.get(key)
+            if old and old.code == row.code:
+                return old
+            rows = self._rows | {key: row}
+            if old:
+                self._replace(b"".join(map(_line, rows.values())))
+            else:
+                self._append(_line(row))
+        return row
+
+    def close(self) -> None:
+        """Release all cases."""
+        self._locks.close()
+
+    def _refresh(self) -> None:
+        """Read the file again if it has changed."""
+        try:
+            now = self.path.stat()
+        except FileNotFoundError:
+            self._rows, self._seen = {}, ()
+            return
+        seen = now.st_ino, now.st_size, now.st_mtime_ns
+        if seen != self._seen:
+            rows = read(self.path)
+            self._rows, self._seen = {case_key(row.parameters): row for row in rows}, seen
+
+    def _append(self, line: bytes) -> None:
+        """Add a line, whole or not at all, after the last row."""
+        with self.path.open("ab", buffering=0) as file:
+            data = self.path.read_bytes()
+            _, end = _parse(self.path, data)
+            file.truncate(end)
+            if end and data[end - 1 : end] != b"\n":
+                line = b"\n" + line
+            try:
+                _write(file.fileno(), line)
+            except BaseException:
+                file.truncate(end)
+                raise
+
+    def _replace(self, data: bytes) -> None:
+        """Put a new file in the place of the old one; an interruption leaves the old one."""
+        other = self.path.with_name(f".{self.path.name}.new")
+        try:
+            with other.open("wb", buffering=0) as file:
+                _write(file.fileno(), data)
+            other.replace(self.path)
+        except BaseException:
+            other.unlink(missing_ok=True)
+            raise
+
+
+def _write(file: int, data: bytes) -> None:
+    """Write all of it, to the disk."""
+    while data:
+        data = data[os.write(file, data) :]
+    os.fsync(file)
+
+
+def _number(key: str) -> int:
+    """A lock for a case; 0 is not among them."""
+    return 1 + int.from_bytes(hashlib.sha256(key.encode()).digest()[:7], "big")
+
+
+def told(error: Exception) -> str:
+    """What a message says of an error: no number of the system, and no path a second time."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def set_aside(unsaved: list[tuple[Store, Row]], reason: Exception) -> UnsavedRowsError:
+    """Write rows that have no room where they belong to another place; what to tell of it."""
+    rows = [row for _, row in unsaved]
+    text = f"{len(rows)} finished rows could not be written ({told(reason)})"
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="esfem-study-"))
+        advice = []
+        for store in dict.fromkeys(store for store, _ in unsaved):
+            lines = b"".join(_line(row) for other, row in unsaved if other is store)
+            # It begins with an end of line, in case the other file does not end with one.
+            (folder / store.path.name).write_bytes(b"\n" + lines)
+            advice.append(f"cat {folder / store.path.name} >> {store.path}")
+        text += f". They are kept; make room, then: {'; '.join(advice)}"
+    except OSError:
+        text += ", nowhere; this error has them in its `rows`"
+    return UnsavedRowsError(text, rows)

@@ -1,0 +1,106 @@
+"""Compare the numbers that two builds of the book print.
+
+``python tests/same_digits.py one/html two/html`` reads the measured values of all claims, which the
+pages carry in full precision, and the numbers in the printed outputs. They agree if they differ by
+no more than 1e-9 of the larger one or of 1 (an error is a difference of solutions of this size),
+and printed ones by a unit of their last digit more. Times, and the pages that are about them,
+differ.
+"""
+
+import math
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from bs4 import BeautifulSoup
+
+from esfem_core.companion.claims import read_html
+
+TOLERANCE = 1e-9
+TIMED = {"performance", "status"}
+NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
+TIME = re.compile(r"\d ?(?:µs|ms|s|min|h|seconds|minutes|hours)\b|\btimes? ")
+
+
+def claims(page: str) -> Iterator[tuple[str, float]]:
+    """Names and values of the measurements on a page."""
+    for claim in read_html(page):
+        for part in ("as_printed", "corrected"):
+            for measurement in getattr(claim, part):
+                yield f"{claim.id}: {measurement.name}", measurement.value
+
+
+def printed(page: str) -> Iterator[tuple[str, str]]:
+    """Numbers of the outputs on a page that are text or tables, with the lines they stand in."""
+    soup = BeautifulSoup(page, "html.parser")
+    for output in soup.select("div.cell_output"):
+        for hidden in output.select("script, style, svg, [data-claim]"):
+            hidden.decompose()
+        for line in output.get_text("\n").splitlines():
+            if not TIME.search(line):
+                yield from ((line.strip(), found) for found in NUMBER.findall(line))
+
+
+def unit(text: str) -> float:
+    """Return one in the last digit of a printed number.
+
+    Examples
+    --------
+    >>> unit("1.25e-03"), unit("1,026")
+    (1e-05, 1.0)
+    """
+    mantissa, _, exponent = text.partition("e")
+    digits = len(mantissa.partition(".")[2])
+    return float(f"1e{int(exponent or 0) - digits}")
+
+
+def value(text: str) -> float:
+    """Return a printed number."""
+    return float(text.replace(",", "").replace("−", "-"))
+
+
+def agree(one: float, other: float, slack: float = 0.0) -> bool:
+    """Whether two numbers are the same for a reader.
+
+    Examples
+    --------
+    >>> agree(0.1 + 0.2, 0.3), agree(1e-13, 3e-13), agree(1.0, 1.00001)
+    (True, True, False)
+    """
+    if math.isnan(one) or math.isnan(other):
+        return math.isnan(one) and math.isnan(other)
+    size = max(1.0, abs(one), abs(other))
+    return one == other or abs(one - other) <= TOLERANCE * size + slack * (1 + 1e-9)
+
+
+def differences(one: Path, other: Path) -> tuple[int, list[str]]:
+    """Return how many numbers were compared, and what is not the same."""
+    count, found = 0, []
+    names = {path.relative_to(folder) for folder in (one, other) for path in folder.rglob("*.html")}
+    for name in sorted(names):
+        if name.stem in TIMED or "_static" in name.parts:
+            continue
+        if not ((one / name).exists() and (other / name).exists()):
+            found.append(f"{name}: only in one of them")
+            continue
+        pages = [(folder / name).read_text("utf8") for folder in (one, other)]
+        measured = [list(claims(page)) for page in pages]
+        texts = [list(printed(page)) for page in pages]
+        if len(measured[0]) != len(measured[1]) or len(texts[0]) != len(texts[1]):
+            found.append(f"{name}: not as many numbers in the one as in the other")
+            continue
+        count += len(measured[0]) + len(texts[0])
+        for (what, a), (_, b) in zip(*measured, strict=True):
+            if not agree(a, b):
+                found.append(f"{name}: {what}: {a!r} and {b!r}")
+        for (line, a), (_, b) in zip(*texts, strict=True):
+            if not agree(value(a), value(b), unit(a)):
+                found.append(f"{name}: {line}: {a} and {b}")
+    return count, found
+
+
+if __name__ == "__main__":
+    number, faults = differences(Path(sys.argv[1]), Path(sys.argv[2]))
+    print(*faults, f"{number} numbers compared, {len(faults)} differ", sep="\n")
+    raise SystemExit(bool(faults) or not number)

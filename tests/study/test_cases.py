@@ -1,0 +1,242 @@
+"""Studies of many cases, computed in this process: what is kept, found, renewed and refused."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.study import StudyWarning, grid, read, run
+
+FACTOR = 1
+
+
+def power(order, step):
+    if step == 0.125 and order == 2:
+        raise ArithmeticError("no convergence")
+    return {"error": FACTOR * step**order + 0.1}
+
+
+def study(folder, cases, compute=power, **options):
+    lines = []
+    options = {"workers": 0, "progress": lines.append} | options
+    return run(cases, compute, folder, **options), lines
+
+
+def test_rows_stand_in_the_order_of_the_cases(tmp_path):
+    cases = grid(order=(1, 3), step=(0.5, 0.25))
+    results, lines = study(tmp_path, cases)
+    assert [row.parameters for row in results.rows] == cases
+    assert results.rows[3].results == {"error": 0.25**3 + 0.1}
+    assert results.failures == []
+    assert lines[0] == "1/4 power: order=1, step=0.5: 0.0 s"
+    assert str(results).splitlines()[0].split() == ["order", "step", "error"]
+    assert read(tmp_path / "power.jsonl") == results.rows
+    assert [path.name for path in tmp_path.iterdir()] == ["power.jsonl"]
+
+
+def test_a_larger_study_computes_what_is_new_only(tmp_path):
+    study(tmp_path, grid(order=(1,), step=(0.5, 0.25)))
+    # The order of names and the type of a whole number are no other case.
+    cases = [{"step": 0.25, "order": 1.0}, {"step": 0.75, "order": 1}]
+    results, lines = study(tmp_path, cases)
+    assert [line.rpartition(": ")[2] for line in lines] == ["found", "0.0 s"]
+    assert [row.results["error"] for row in results.rows] == [0.35, 0.85]
+    assert len(read(tmp_path / "power.jsonl")) == 3
+
+
+def test_a_failing_case_ends_its_chain_and_no_other(tmp_path):
+    chains = [[{"order": p, "step": 0.5**k} for k in range(5)] for p in (1, 2)]
+    with pytest.warns(StudyWarning, match=r"^1 of the cases failed, the first one with order=2, s"):
+        results, lines = study(tmp_path, chains)
+    assert len(results.rows) == 8
+    [(parameters, error)] = results.failures
+    assert (parameters, str(error)) == ({"order": 2, "step": 0.125}, "no convergence")
+    assert "test_cases.py" in error.__notes__[0]
+    assert "10/10 power: order=" in lines[-1]
+    assert str(results).endswith("failed: order=2, step=0.125: ArithmeticError: no convergence")
+
+
+def test_a_chain_ends_when_it_is_enough(tmp_path):
+    def settled(before, after):
+        return after["error"] > 0.5 * before["error"]
+
+    chain = [{"order": 1, "step": 0.5**k} for k in range(5)]
+    for _ in range(2):  # computed, and found
+        results, _ = study(tmp_path, [chain], enough=settled)
+        assert [row.parameters["step"] for row in results.rows] == [1, 0.5]
+
+
+def test_rows_of_other_code_are_renewed_in_their_place_or_kept(tmp_path, monkeypatch):
+    cases = grid(order=(1,), step=(1.0, 0.5, 0.25))
+    before, _ = study(tmp_path, cases)
+    monkeypatch.setitem(globals(), "FACTOR", 2)
+    assert study(tmp_path, cases, stale="keep")[0] == before
+    after, lines = study(tmp_path, cases[1:2])
+    assert [row.results["error"] for row in after.rows] == [1.1]
+    assert "found" not in lines[0]
+    rows = read(tmp_path / "power.jsonl")
+    assert [row.parameters for row in rows] == cases
+    assert [row.results["error"] for row in rows] == [1.1, 1.1, 0.35]
+
+
+def test_a_row_that_cannot_be_renewed_stays(tmp_path):
+    def compute(size):
+        if broken:
+            raise ArithmeticError
+        return {"size": size}
+
+    broken = False
+    before, _ = study(tmp_path, grid(size=[1]), compute)
+    broken = True
+    with pytest.warns(StudyWarning):
+        assert study(tmp_path, grid(size=[1]), compute)[0].rows == []
+    assert read(tmp_path / "compute.jsonl") == before.rows
+
+
+class Pair(dict):
+    pass
+
+
+VALUES = {
+    "integer": (np.int64(3), 3),
+    "single precision": (np.float32(0.5), 0.5),
+    "long": (np.longdouble(0.5), 0.5),
+    "truth": (np.bool_(True), True),
+    "text": (np.str_("a"), "a"),
+    "array": (np.arange(4).reshape(2, 2), [[0, 1], [2, 3]]),
+    "long array": (np.array([0.5], np.longdouble), [0.5]),
+    "tuple": ((1, None), [1, None]),
+    "measures": (ec.errors.Errors(*range(6)), dict(ec.errors.Errors(*range(6))._asdict())),
+    "mapping": (Pair(x=1), {"x": 1}),
+}
+
+
+def test_numpy_values_are_kept_as_numbers_and_lists(tmp_path):
+    def compute(name):
+        return {"value": VALUES[name][0]}
+
+    results, _ = study(tmp_path, grid(name=VALUES), compute)
+    assert [row.results["value"] for row in results.rows] == [v for _, v in VALUES.values()]
+    assert read(tmp_path / "compute.jsonl") == results.rows
+
+
+def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(tmp_path):
+    others = {"complex": 1j, "key": {1: 2}, "set": {1}, "object": [object()], "c": np.array([1j])}
+    loop = []
+    loop.append(loop)
+
+    def compute(name):
+        return {"value": loop} if name == "loop" else {"value": others.get(name, 1)}
+
+    with pytest.warns(StudyWarning, match="^6 of the cases failed"):
+        results, _ = study(tmp_path, grid(name=[*others, "loop", "good"]), compute)
+    assert [row.parameters["name"] for row in results.rows] == ["good"]
+    told = {failure.parameters["name"]: str(failure.error) for failure in results.failures}
+    assert told["complex"].startswith("results['value'] must be a number, a string, ")
+    assert told["complex"].endswith("with strings as keys, got 1j")
+    assert told["object"].startswith("results['value'][0] must be a number")
+    assert told["key"].endswith("got {1: 2}")
+    with pytest.warns(StudyWarning, match="results must be a dict, got 7"):
+        study(tmp_path, grid(size=[1]), lambda size: 7, name="seven")
+
+
+GOOD = '{"parameters": {"size": 1}, "results": {"size": 1}, "provenance": {"esfem_core": "0"}}'
+
+
+@pytest.mark.parametrize("end", ['\n{"parameters": {"si', "\n", "", "\n\n", '\n{"a": "\xe4'])
+def test_a_last_line_without_end_loses_no_row(tmp_path, end):
+    path = tmp_path / "compute.jsonl"
+    path.write_bytes(f"{GOOD}{end}".encode()[: -1 if "\xe4" in end else None])
+    results, lines = study(
+        tmp_path, grid(size=(1, 2)), lambda size: {"size": size}, name="compute", stale="keep"
+    )
+    assert [row.results["size"] for row in results.rows] == [1, 2]
+    assert lines[0].endswith("found")
+    lines = filter(None, path.read_text("ascii").split("\n"))
+    assert [json.loads(line)["parameters"]["size"] for line in lines] == [1, 2]
+
+
+@pytest.mark.parametrize("text", ["no json\n", f"{GOOD}\n{{}}\n", "[]\n", f"{GOOD}x\n", "\x00\n"])
+def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, text):
+    path = tmp_path / "power.jsonl"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"power\.jsonl is not a file of results: line \d: "):
+        study(tmp_path, grid(order=[1], step=[1]))
+    assert path.read_text() == text
+
+
+def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
+    path = tmp_path / "compute.jsonl"
+
+    def compute(size):
+        if size == 2:
+            path.write_text("spoilt\n")
+        return {"size": size}
+
+    with (
+        pytest.warns(StudyWarning, match="is not a file of results: line 1"),
+        pytest.raises(ValueError, match=r"compute\.jsonl is not a file of results: line 1"),
+    ):
+        study(tmp_path, grid(size=(1, 2, 3)), compute)
+    assert path.read_text() == "spoilt\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"cases": {"order": 1}}, TypeError, "cases must be a list of dicts of parameters, got {'"),
+        ({"cases": 3}, TypeError, "cases must be a list of dicts of parameters, got 3"),
+        ({"cases": ["a"]}, TypeError, "a chain of cases must be a list of dicts of parameters, go"),
+        ({"cases": [[1]]}, TypeError, "a case must be a dict of parameters, got 1"),
+        ({"cases": [{"f": len}]}, TypeError, r"a case\['f'\] must be a number, .* got <built-in"),
+        ({"compute": 3}, TypeError, "compute must be a function, got 3"),
+        ({"compute": lambda: 0}, ValueError, "name must be made of letters, .* got '<lambda>'"),
+        ({"name": "../a"}, ValueError, "name must be made of letters, digits, .* got '../a'"),
+        ({"workers": -1}, ValueError, "workers must be an integer >= 0, got -1"),
+        ({"workers": None, "threads": 0}, ValueError, "threads must be an integer >= 1, got 0"),
+        ({"executor": 2}, TypeError, "executor must be a concurrent.futures.Executor or None, go"),
+        ({"stale": "no"}, ValueError, 'stale must be "renew" or "keep", got \'no\''),
+    ],
+)
+def test_arguments_that_are_none_are_refused_before_anything_is_made(
+    tmp_path, change, kind, message
+):
+    arguments = {"cases": [{"order": 1, "step": 1}], "compute": power, "folder": tmp_path / "new"}
+    with pytest.raises(kind, match=f"^{message}"):
+        run(**({"workers": 0, "progress": False} | arguments | change))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_a_case_is_computed(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        study(tmp_path / "file", grid(size=[1]), lambda size: pytest.fail("began"), name="none")
+
+
+def test_a_case_that_stands_twice_is_computed_once(tmp_path):
+    called = []
+
+    def compute(size):
+        called.append(size)
+        return {"size": size}
+
+    with ThreadPoolExecutor(2) as pool:
+        results, _ = study(tmp_path, [{"size": 1}] * 3, compute, executor=pool, workers=None)
+    assert len(results.rows) == len(called) == len(read(tmp_path / "compute.jsonl")) == 1
+
+
+def test_any_executor_computes_and_is_left_open(tmp_path):
+    cases = grid(order=(1, 3), step=(0.5, 0.25))
+    with ThreadPoolExecutor(2) as pool:
+        results, _ = study(tmp_path, cases, executor=pool, workers=2)
+        assert pool.submit(len, "ab").result() == 2
+    assert [row.parameters for row in results.rows] == cases
+
+
+def test_the_table_escapes_what_it_shows(tmp_path):
+    results, _ = study(tmp_path, [{"name": "<b>"}], lambda name: {"<i>": name}, name="html")
+    shown = results._repr_html_()
+    assert "<b>" not in shown
+    assert "&lt;i&gt;" in shown

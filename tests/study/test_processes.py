@@ -1,0 +1,329 @@
+"""Real processes that die, are killed, start twice and find no room: nothing is lost or left."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.study import StudyWarning, UnsavedRowsError, WorkerLostError, grid, read, run
+from esfem_core.study.rows import Row, Store
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
+
+FORK = multiprocessing.get_context("fork") if sys.platform != "win32" else None
+
+
+def started(function, *arguments):
+    """A process that does not import everything again, in a session of its own."""
+
+    def begin():
+        os.setsid()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            function(*arguments)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of fork, where there are threads
+        process = FORK.Process(target=begin)
+        process.start()
+    return process
+
+
+def ended(process):
+    process.join()
+    process.close()
+
+
+def slow(size, folder):
+    """Compute something that takes its time, and say where."""
+    with (Path(folder) / "log").open("a") as log:
+        log.write(f"{size} {os.getpid()}\n")
+    time.sleep(0.05)
+    return {"size": size, "text": "x" * 200}
+
+
+def study(folder, cases, workers):
+    found = run(
+        grid(size=range(cases), folder=[str(folder)]),
+        slow,
+        folder,
+        workers=workers,
+        progress=lambda line: (folder / "told").open("a").write(f"{line}\n"),
+    )
+    (folder / "end").open("a").write(f"{len(found.rows)}\n")
+
+
+def until(true, seconds=60):
+    """Wait for something to become true."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it has not come true"
+        time.sleep(0.02)
+
+
+def sizes(folder):
+    return sorted(row.parameters["size"] for row in read(folder / "slow.jsonl"))
+
+
+def living(session):
+    """Processes of a session that have not ended."""
+    listed = subprocess.run(
+        ["ps", "-A", "-o", "sess=,stat="], capture_output=True, text=True, check=True
+    )
+    lines = map(str.split, listed.stdout.splitlines())
+    return sum(line[0] == str(session) and line[1][0] != "Z" for line in lines)
+
+
+def weak(size, folder):
+    """Compute what kills its process in several ways, once or always."""
+    once = Path(folder) / f"{size}"
+    if size == 1:
+        os._exit(9)
+    if size == 2:
+        sys.exit("enough")
+    if size == 3 and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if size == 4:
+        raise OSError(28, "No space left")
+    return {"size": size, "threads": os.environ["OMP_NUM_THREADS"]}
+
+
+@posix
+def test_a_process_that_dies_takes_no_other_case_with_it(tmp_path):
+    cases = grid(size=range(7), folder=[str(tmp_path)])
+    with pytest.warns(StudyWarning, match="^3 of the cases failed"):
+        results = run(cases, weak, tmp_path, workers=1, threads=3, progress=False)
+    assert [row.results for row in results.rows] == [
+        {"size": size, "threads": "3"} for size in (0, 3, 5, 6)
+    ]
+    told = {f.parameters["size"]: f"{type(f.error).__name__}: {f.error}" for f in results.failures}
+    assert told == {
+        1: "WorkerLostError: the process that computed it ended with exit code 9",
+        2: "RuntimeError: the case ended with sys.exit('enough')",
+        4: "OSError: [Errno 28] No space left",
+    }
+    assert multiprocessing.active_children() == []
+
+
+@posix
+def test_a_pool_that_breaks_is_replaced(tmp_path):
+    cases = grid(size=(0, 3, 5), folder=[str(tmp_path)])
+    context = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, mp_context=context) as pool,
+        pytest.warns(StudyWarning, match="^the executor is broken .* new processes go on$"),
+    ):
+        results = run(cases, weak, tmp_path, pool, workers=1, progress=False)
+    assert [row.parameters["size"] for row in results.rows] == [0, 3, 5]
+    assert results.failures == []
+
+
+@posix
+def test_a_killed_study_leaves_no_process_and_goes_on(tmp_path):
+    first = started(study, tmp_path, 400, 1)
+    until(lambda: len(sizes(tmp_path)) >= 3)
+    assert living(first.pid) >= 2
+    first.kill()
+    first.join()
+    until(lambda: living(first.pid) == 0)
+    kept = sizes(tmp_path)
+    (tmp_path / "told").unlink()
+    ended(started(study, tmp_path, 10, 0))
+    told = (tmp_path / "told").read_text().splitlines()
+    assert sum(line.endswith("found") for line in told) == len(set(kept) & set(range(10))) >= 3
+    assert sizes(tmp_path) == sorted({*kept, *range(10)})
+    assert {p.name for p in tmp_path.iterdir()} == {"end", "log", "slow.jsonl", "told"}
+
+
+@posix
+def test_two_studies_at_once_share_the_cases(tmp_path):
+    for process in [started(study, tmp_path, 30, 0) for _ in range(2)]:
+        ended(process)
+    assert (tmp_path / "end").read_text() == "30\n30\n"
+    assert sizes(tmp_path) == list(range(30))
+    log = [line.split() for line in (tmp_path / "log").read_text().splitlines()]
+    assert sorted(int(size) for size, _ in log) == list(range(30))  # none was computed twice
+    assert len({pid for _, pid in log}) == 2
+
+
+def claiming(path):
+    store = Store(path)
+    assert store.claim({"size": 1})
+    path.with_name("claimed").touch()
+    time.sleep(60)
+
+
+@posix
+def test_a_case_that_a_killed_study_had_begun_is_free(tmp_path):
+    other = started(claiming, tmp_path / "a.jsonl")
+    until((tmp_path / "claimed").exists)
+    here = Store(tmp_path / "a.jsonl")
+    assert not here.claim({"size": 1})
+    assert here.claim({"size": 2})
+    other.kill()
+    ended(other)
+    assert here.claim({"size": 1})
+    here.close()
+
+
+def hammering(folder):
+    """Write new rows, and rows in the place of others, and say which are written."""
+    store = Store(folder / "a.jsonl")
+    with (folder / "written").open("ab", buffering=0) as file:
+        for n in range(100000):
+            row = Row({"size": n % 30}, {"n": n}, {"esfem_core": f"0, source {n}", "x": "x" * 9999})
+            store.put(row)
+            file.write(b".")
+
+
+@posix
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_written_survives_kills_at_any_moment(tmp_path, seed):
+    random = np.random.default_rng(seed)
+    for _ in range(4):
+        for path in tmp_path.iterdir():
+            path.unlink()
+        process = started(hammering, tmp_path)
+        until((tmp_path / "written").exists)
+        time.sleep(0.1 * random.random())
+        process.kill()
+        ended(process)
+        written = (tmp_path / "written").stat().st_size
+        rows = read(tmp_path / "a.jsonl")
+        assert max([row.results["n"] for row in rows], default=-1) in (written - 1, written)
+        assert len({row.parameters["size"] for row in rows}) == len(rows) >= min(written, 30)
+        store = Store(tmp_path / "a.jsonl")
+        store.put(Row({"size": -1}, {}, {}))
+        store.close()
+        assert len(read(tmp_path / "a.jsonl")) == len(rows) + 1
+
+
+def filling(folder):
+    """Compute with no more room than for a few rows."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1700, resource.RLIM_INFINITY))
+    try:
+        study(folder, 6, 0)
+    except UnsavedRowsError as error:
+        (folder / "error").write_text(str(error))
+        (folder / "rows").write_text(str([row.parameters["size"] for row in error.rows]))
+
+
+@posix
+def test_rows_without_room_are_set_aside_and_the_advice_brings_them_back(tmp_path):
+    ended(started(filling, tmp_path))
+    kept = sizes(tmp_path)
+    assert 0 < len(kept) < 6
+    assert (tmp_path / "rows").read_text() == str(sorted(set(range(6)) - set(kept)))
+    told, _, advice = (tmp_path / "error").read_text().partition("; make room, then: ")
+    assert told.startswith(f"{6 - len(kept)} finished rows could not be written (File too large).")
+    subprocess.run(advice, shell=True, check=True)
+    assert sizes(tmp_path) == list(range(6))
+
+
+@posix
+def test_a_loop_that_is_left_ends_its_processes_and_keeps_what_is_finished(tmp_path):
+    cases = [[case] for case in grid(size=(0, 5, 6, 7), folder=[str(tmp_path)])]
+    study = ec.study.Experiment("weak", "", weak, cases)
+    for outcome in ec.study.outcomes([study], tmp_path, workers=1):
+        assert outcome.row
+        break
+    assert multiprocessing.active_children() == []
+    assert outcome.row in read(tmp_path / "weak.jsonl")
+
+
+NOTEBOOK = """
+import sys, json
+if {hide}:
+    sys.modules["cloudpickle"] = None
+import esfem_core as ec
+FACTOR = 3
+def compute(size):
+    return {{"n": FACTOR * size}}
+for workers in {workers}:
+    try:
+        found = ec.study.run(ec.study.grid(size=(1, 2)), compute, {folder!r}, workers=workers)
+        print([row.results["n"] for row in found.rows])
+    except ValueError as error:
+        print(error)
+"""
+
+
+def python(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        env=os.environ | {"PYTHONPATH": str(Path(ec.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        **options,
+    )
+
+
+def test_functions_of_a_notebook_are_sent_to_processes(tmp_path):
+    pytest.importorskip("cloudpickle")
+    # The functions of a notebook stand in no file, like those of this command.
+    script = NOTEBOOK.format(hide=False, folder=str(tmp_path), workers=(1,))
+    found = python("-c", script, check=True)
+    assert found.stdout == "[3, 6]\n"
+    assert "2/2" in found.stderr  # tqdm
+
+
+def test_where_they_cannot_be_sent_this_is_said_and_they_can_be_computed_here(tmp_path):
+    script = NOTEBOOK.format(hide=True, folder=str(tmp_path), workers=(1, 0))
+    refused, computed = python("-c", script, check=True).stdout.splitlines()
+    assert refused.startswith("compute must be a function that another process can read, but 'com")
+    assert "install cloudpickle (pip install cloudpickle), put it into a module, or" in refused
+    assert refused.endswith("compute in this process with workers=0")
+    assert computed == "[3, 6]"
+
+
+UNGUARDED = """
+import sys
+import esfem_core as ec
+def compute(size):
+    return {"size": size}
+ec.study.run(ec.study.grid(size=(1, 2)), compute, sys.argv[1], workers=1, progress=False)
+"""
+
+
+@posix
+def test_a_script_without_a_guard_ends_and_says_what_is_missing(tmp_path):
+    (tmp_path / "script.py").write_text(UNGUARDED)
+    out = python(tmp_path / "script.py", tmp_path, timeout=60).stderr
+    assert out.splitlines()[-1].startswith("esfem_core.study.processes.WorkerLostError: a process")
+    assert 'what starts a study must stand under `if __name__ == "__main__":`' in out
+
+
+def test_errors_that_cannot_be_sent_are_told():
+    from esfem_core.study.processes import transportable
+
+    class OwnError(Exception):
+        def __init__(self, one, two):
+            super().__init__(f"{one} and {two}")
+
+    found = transportable(OwnError(1, 2))
+    assert (type(found), str(found)) == (RuntimeError, "OwnError: 1 and 2")
+    assert json.dumps(str(transportable(ValueError("a"))))
+
+
+def test_a_pool_ends_when_it_is_shut_down():
+    with ec.study.Processes(1) as pool:
+        futures = [pool.submit(abs, -n) for n in range(3)]
+        assert pool.submit(divmod, 1, 0).exception().args == ("integer division or modulo by zero",)
+    assert [future.result() for future in futures] == [0, 1, 2]
+    assert multiprocessing.active_children() == []
+    with pytest.raises(RuntimeError, match="cannot schedule new futures after shutdown"):
+        pool.submit(abs, 1)
+    assert issubclass(WorkerLostError, RuntimeError)

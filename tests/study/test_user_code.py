@@ -1,0 +1,143 @@
+"""A row of a reader's function depends on what the function reaches, and on no word beside it."""
+
+import functools
+import linecache
+import sys
+import types
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.stepping import bdf
+from esfem_core.study.dependencies import code_of
+
+SOURCE = '''
+import numpy as np
+import esfem_core as ec
+
+FACTOR, TABLE, OTHER = 2.0, np.arange(3), "other"
+SPACE = ec.Problem(g=lambda at: at.u)
+
+
+class Shape:
+    """A shape."""
+    sides = 3
+
+    def area(self):
+        return self.sides * FACTOR
+
+    @property
+    def half(self):
+        return self.area() / 2
+
+
+def helper(x):
+    """Help."""
+    return x + 1  # a comment
+
+
+def unused(x):
+    return OTHER
+
+
+def compute(size, *, scale=TABLE):
+    def inner(y):
+        return helper(y)
+
+    return {"n": inner(size), "area": Shape().half, "bdf": ec.bdf.delta(2)}
+'''
+
+
+def compute(source, name="notebook"):
+    """The function of a notebook."""
+    file = f"<cell {hash(source)}>"
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
+    module = types.ModuleType(name)
+    module.__file__ = file
+    sys.modules[name] = module
+    exec(compile_(source, file, "exec"), module.__dict__)
+    return module.compute
+
+
+compile_ = __builtins__["compile"] if isinstance(__builtins__, dict) else __builtins__.compile
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("FACTOR, TABLE, OTHER = 2.0", "FACTOR, TABLE, OTHER = 3.0"),
+        ("np.arange(3)", "np.arange(4)"),
+        ("sides = 3", "sides = 4"),
+        ("x + 1", "x + 2"),
+        ("self.area() / 2", "self.area() / 3"),
+        ("ec.bdf.delta(2)", "ec.bdf.gamma(2)"),
+        ("inner(size)", "inner(-size)"),
+    ],
+)
+def test_what_the_function_reaches_counts(old, new):
+    assert SOURCE.count(old) == 1
+    assert code_of(compute(SOURCE.replace(old, new))) != code_of(compute(SOURCE))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("  # a comment", ""),
+        ('"""Help."""', '"""Another help."""'),
+        ('"""A shape."""', ""),
+        ("return OTHER", "return 3"),
+        ('"other"', '"else"'),
+        ("x + 1", "(x +\n 1)"),
+    ],
+)
+def test_words_layout_and_what_it_does_not_reach_do_not(old, new):
+    assert SOURCE.count(old) == 1
+    assert code_of(compute(SOURCE.replace(old, new))) == code_of(compute(SOURCE))
+
+
+def test_the_name_of_the_module_does_not_count():
+    assert code_of(compute(SOURCE, "first")) == code_of(compute(SOURCE, "second"))
+
+
+def test_the_solver_counts_as_far_as_it_is_reached(monkeypatch):
+    from esfem_core.study import dependencies
+
+    def own(order):
+        return {"delta": ec.bdf.delta(order)}
+
+    def other(order):
+        return {"space": ec.SurfaceSpace}
+
+    before = code_of(own), code_of(other)
+    real = dependencies._hash
+    changed = lambda m, n, p: "new" if n == "delta" else real(m, n, p)  # noqa: E731
+    monkeypatch.setattr(dependencies, "_hash", changed)
+    assert code_of(own) != before[0]
+    assert code_of(other) == before[1]
+
+
+def test_values_that_a_function_encloses_count():
+    def make(value):
+        return lambda size: size * value
+
+    codes = [code_of(make(v)) for v in (1, 2, "a", [1], {"a": 1}, {1, 2}, np.ones(2), np.ones(3))]
+    assert len(set(codes)) == len(codes)
+    assert code_of(make({"a", "b"})) == code_of(make({"b", "a"}))
+    assert code_of(functools.partial(make, 1)) != code_of(functools.partial(make, 2))
+
+
+def test_recursion_ends():
+    def even(n):
+        return n == 0 or odd(n - 1)
+
+    def odd(n):
+        return n != 0 and even(n - 1)
+
+    assert len(code_of(even)) == 12
+
+
+def test_a_function_of_the_package_is_read_from_its_file():
+    from esfem_core.study.dependencies import code_hash
+
+    assert code_of(bdf.delta) == code_hash(bdf.delta)
