@@ -15,6 +15,7 @@ from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
+from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
 __all__ = [
     "FLATTEST",
@@ -23,6 +24,7 @@ __all__ = [
     "Fault",
     "MeshingError",
     "Quality",
+    "SmoothSurface",
     "bisected_sphere",
     "central_gradient",
     "central_stencil",
@@ -42,6 +44,7 @@ __all__ = [
     "read_mesh",
     "repair",
     "sides_of",
+    "smooth",
     "sphere",
     "split",
     "to_unit_sphere",
