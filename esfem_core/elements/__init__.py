@@ -6,7 +6,13 @@ from esfem_core.elements.lifting import squared_differences
 from esfem_core.elements.numbering import flat_triangles
 from esfem_core.elements.probing import ClosestPoints, closest_points, probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
-from esfem_core.elements.recovery import Smoothing, nodal_average, smoothed
+from esfem_core.elements.recovery import (
+    Smoothing,
+    nodal_average,
+    normal_and_curvature,
+    smoothed,
+    smoothed_divergence,
+)
 from esfem_core.elements.scatter import combination, with_data
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.elements.surface import Surface
@@ -28,8 +34,10 @@ __all__ = [
     "flat_triangles",
     "nodal_average",
     "node_indices",
+    "normal_and_curvature",
     "probe",
     "smoothed",
+    "smoothed_divergence",
     "squared_differences",
     "tabulate",
     "triangle_rule",

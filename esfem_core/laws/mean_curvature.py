@@ -25,7 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, finite_array, number, shown
-from esfem_core.elements import Surface, nodal_average, smoothed
+from esfem_core.elements import (
+    Surface,
+    nodal_average,
+    normal_and_curvature,
+    smoothed_divergence,
+)
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
 from esfem_core.laws.values import Once, values_at
@@ -54,8 +59,8 @@ class MeanCurvature(Law):
     normal, curvature : callable or array, optional
         Initial values: of points (N, 3) of the initial surface, or nodal ones; such as the methods
         `normal` and `mean_curvature` of an exact surface in
-        :mod:`esfem_core.surfaces.exact_surfaces`. None takes them from the mesh, smoothed by
-        :func:`esfem_core.elements.recovery.smoothed`.
+        :mod:`esfem_core.surfaces.exact_surfaces`. None takes them from the mesh by
+        :func:`esfem_core.elements.recovery.normal_and_curvature`.
 
     Raises
     ------
@@ -98,16 +103,14 @@ class MeanCurvature(Law):
 
     def initial(self, at: Surface) -> Mapping[str, Array]:
         """Normal and curvature of the mesh, where they are not given."""
-        normal = self.normal
+        normal, H = self.normal, None
         if normal is None:
-            normal = smoothed(at, at.normal)
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            normal, H = normal_and_curvature(at)
         elif callable(normal):
             normal = finite_array("normal", normal(at.x.copy()), at.x.shape)
         values: dict[str, Array] = {} if self.normal is not None else {"normal": normal}
         if self.curvature is None:
-            gradient = at.space.gradient(at.x, normal)
-            values["H"] = smoothed(at, np.trace(gradient, axis1=-2, axis2=-1))
+            values["H"] = smoothed_divergence(at, normal) if H is None else H
         return values
 
     def velocity(

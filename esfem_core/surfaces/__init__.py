@@ -16,6 +16,7 @@ from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
 from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
+from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
 __all__ = [
     "FLATTEST",
@@ -26,6 +27,7 @@ __all__ = [
     "Guide",
     "MeshingError",
     "Quality",
+    "SmoothSurface",
     "bisected_sphere",
     "boundary_advice",
     "central_gradient",
@@ -48,6 +50,7 @@ __all__ = [
     "repair",
     "resized",
     "sides_of",
+    "smooth",
     "sphere",
     "split",
     "to_unit_sphere",

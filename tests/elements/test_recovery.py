@@ -1,0 +1,70 @@
+"""Nodal normals and mean curvatures, at vertices with five triangles above all."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import esfem_core as ec
+from esfem_core.elements import normal_and_curvature, smoothed, smoothed_divergence
+from esfem_core.solvers import superlu
+
+EGG = ec.exact_surfaces.Ellipsoid((1.3, 1.0, 0.8))
+
+
+def textbook(at):
+    """M^{-1} A x along the normal."""
+    return np.linalg.norm(superlu(at.M).solve(at.A @ at.x), axis=1)
+
+
+def flat_eggs():
+    for refinements in (2, 3, 4):
+        tri = ec.sphere("icosahedron", refinements)
+        tri = trimesh.Trimesh(EGG.closest(tri.vertices * EGG.axes), tri.faces, process=False)
+        space = ec.SurfaceSpace(tri)
+        yield ec.Surface(space, space.nodes), np.bincount(tri.faces.ravel()) == 5
+
+
+def test_curvature_converges_where_five_triangles_meet_and_that_of_the_textbook_does_not():
+    old, new, normals = [], [], []
+    for at, five in flat_eggs():
+        exact = EGG.mean_curvature(at.x)
+        normal, H = normal_and_curvature(at)
+        old.append(np.abs(textbook(at) / exact - 1)[five].min())
+        new.append(np.abs(H / exact - 1)[five].max())
+        normals.append(np.linalg.norm(normal - EGG.normal(at.x), axis=1).max())
+    assert min(old) > 0.3
+    assert new[-1] < 1e-3
+    assert np.log2(new[0] / new[2]) / 2 > 2
+    assert np.log2(normals[0] / normals[2]) / 2 > 2.5
+
+
+def test_curvature_of_flat_triangles_converges_at_every_vertex():
+    largest = []
+    for at, _ in flat_eggs():
+        largest.append(np.abs(normal_and_curvature(at)[1] - EGG.mean_curvature(at.x)).max())
+    assert np.log2(largest[0] / largest[2]) / 2 > 2
+
+
+def test_curved_elements_are_taken_as_they_are():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    at = ec.Surface(space, space.nodes)
+    normal = smoothed(at, at.normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    found = normal_and_curvature(at)
+    assert np.array_equal(found[0], normal)
+    assert np.array_equal(found[1], smoothed_divergence(at, normal))
+
+
+def test_a_flow_of_flat_triangles_starts_with_them():
+    at, _ = next(flat_eggs())
+    values = ec.laws.MeanCurvature().initial(at)
+    normal, H = normal_and_curvature(at)
+    assert np.array_equal(values["normal"], normal)
+    assert np.array_equal(values["H"], H)
+    assert "normal" not in ec.laws.MeanCurvature(normal=EGG.normal).initial(at)
+
+
+def test_normals_must_be_nodal():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
+    with pytest.raises(ValueError, match=r"normal must have shape \(42, 3\), got \(42,\)"):
+        smoothed_divergence(ec.Surface(space, space.nodes), np.ones(42))
