@@ -94,6 +94,8 @@
     pause();
   }
 
+  // plotly keeps the wheel for itself even where it does not zoom: it is to move the page.
+  stage.addEventListener("wheel", (event) => event.stopPropagation(), { capture: true, passive: true });
   button.addEventListener("click", () => (playing ? pause() : play()));
   slider.addEventListener("input", () => {
     pause();
