@@ -1,6 +1,7 @@
 """What a reader without network sees: formulas, pictures, sliders that move, a page that fits."""
 
 import pytest
+from bs4 import BeautifulSoup
 from conftest import HTML, PAGES
 
 
@@ -13,7 +14,8 @@ def test_opens_without_an_error_and_with_all_that_belongs_to_it(page, reader):
     assert tab.locator("main mjx-container").count() >= formulas
     assert tab.locator("mjx-merror, [data-mjx-error]").count() == 0
     missing = tab.evaluate(
-        "() => [...document.images].filter(i => !(i.complete && i.naturalWidth)).map(i => i.src)"
+        "() => [...document.images].filter(i => i.getClientRects().length"  # of this theme
+        " && !(i.complete && i.naturalWidth)).map(i => i.src)"
     )
     assert missing == []
 
@@ -30,10 +32,79 @@ def test_follows_the_theme_of_the_system(reader, scheme):
     assert (light[0] < light[1]) == (scheme == "light")
 
 
-def test_does_not_scroll_sideways_on_a_phone(page, reader):
+def test_does_not_scroll_sideways_on_a_phone_and_cuts_nothing_without_a_sign(page, reader):
     tab = reader(width=390, height=844).open(page)
     tab.wait_for_load_state("networkidle")
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.wait_for_timeout(100)
+    unsaid = tab.evaluate(
+        "() => [...document.querySelectorAll('main mjx-container[display=true], .esfem-table')]"
+        ".filter(box => box.clientWidth && box.scrollWidth > box.clientWidth + 2)"
+        ".filter(box => !box.dataset.hidden || box.tabIndex !== 0).map(box => box.textContent)"
+    )
+    assert unsaid == []
+    clipped = tab.evaluate(
+        "() => [...document.querySelectorAll('main span.math')].filter(m => m.clientWidth"
+        " && m.firstElementChild.getBoundingClientRect().width > m.clientWidth + 2"
+        " && getComputedStyle(m).overflowX !== 'auto').map(m => m.textContent)"
+    )
+    assert clipped == []
+
+
+def test_the_ledger_can_be_filtered(reader):
+    tab = reader().open("book/ledger.html")
+    rows = tab.locator(".esfem-ledger tbody tr[id]")
+    every = rows.count()
+    assert tab.locator(".esfem-filters output").inner_text() == f"{every} of {every} claims"
+    tab.get_by_label("paper").select_option("LMV")
+    tab.get_by_label("chapter").select_option(label="5. G-stability and multipliers")
+    tab.get_by_label("verdict").select_option("✓ confirmed")
+    tab.get_by_label("evidence").select_option("exact")
+    shown = rows.locator("visible=true")
+    names = shown.locator("td:first-child code").all_inner_texts()
+    assert 0 < len(names) < every
+    assert all(name.startswith("LMV-") for name in names)
+    assert set(shown.locator(".esfem-verdict").all_inner_texts()) == {"✓ confirmed"}
+    tab.get_by_role("button", name="show all").click()
+    tab.get_by_text(f"{every} of {every} claims").wait_for()
+
+
+def test_the_ledger_is_cards_on_a_phone(reader):
+    tab = reader(width=390, height=844).open("book/ledger.html")
+    card = tab.locator(".esfem-ledger tbody tr[id]").first
+    boxes = [cell.bounding_box() for cell in card.locator("td").all()]
+    assert [b["x"] for b in boxes] == [boxes[0]["x"]] * 4
+    assert min(b["width"] for b in boxes) > 300
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_figure_is_that_of_the_theme_and_opens_alone(scheme, reader):
+    tab = reader(scheme=scheme).open("book/05_g_stability.html")
+    figures = tab.locator("a.esfem-full")
+    assert figures.count() > 0
+    for figure in figures.all():
+        address = figure.get_attribute("href")
+        shown = figure.evaluate("a => getComputedStyle(a).display !== 'none'")
+        assert shown == (address.endswith("-dark.svg") == (scheme == "dark"))
+        assert figure.locator("img").get_attribute("src") == address
+        assert figure.locator("img").get_attribute("alt")
+
+
+def test_paper_shows_solutions_and_whole_lines_of_code(reader):
+    tab = reader().open("book/05_g_stability.html")
+    tab.emulate_media(media="print")
+    solution = tab.locator(".admonition.dropdown p:not(.admonition-title)").first
+    assert solution.is_visible()
+    assert solution.evaluate("p => p.getBoundingClientRect().height") > 10
+    wraps = tab.locator("pre").evaluate_all("all => all.map(p => getComputedStyle(p).whiteSpace)")
+    assert set(wraps) == {"pre-wrap"}
+
+
+def test_every_page_says_how_to_cite_the_licence_what_is_new_and_where_the_source_is(page):
+    foot = BeautifulSoup((HTML / page).read_text("utf8"), "html.parser").select(".esfem-footer a")
+    words = " ".join(link.text for link in foot)
+    for word in ("cite", "CC BY 4.0", "MIT", "new", "Source"):
+        assert word in words
 
 
 MOVING = [p for p in PAGES if 'class="esfem-animation"' in (HTML / p).read_text()]
