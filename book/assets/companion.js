@@ -3,7 +3,8 @@
   "use strict";
 
   // What is wider than its place: it can be scrolled by keyboard, and says which side is hidden.
-  const SCROLLS = 'mjx-container[display="true"], .esfem-table, .cell_output, .highlight pre, table.docutils';
+  const SCROLLS =
+    'mjx-container[display="true"], .esfem-table, .pst-scrollable-table-container, .cell_output, .highlight pre';
 
   function look(box) {
     const room = box.scrollWidth - box.clientWidth;
