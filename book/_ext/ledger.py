@@ -153,7 +153,17 @@ class LedgerTable(LedgerDirective):
             scope += self.markdown(row["range"])
         attributes = {"verdicts": chosen} if chosen else {"ids": [f"claim-{anchor(name)}"]}
         check = LedgerPart(kind="check", claim=name)
-        return cells(cell, self.markdown(row["claim"]), scope, check, ledger=name, **attributes)
+        # For the filters of the page: chapter, and kind of evidence.
+        classes = [f"in-{Path(row['chapter']).name}", f"kind-{row.get('evidence', 'none')}"]
+        return cells(
+            cell,
+            self.markdown(row["claim"]),
+            scope,
+            check,
+            ledger=name,
+            classes=classes,
+            **attributes,
+        )
 
 
 class LedgerRuns(LedgerDirective):

@@ -1,17 +1,29 @@
-"""Sphinx extension: what the theme and Jupyter Book would ask of a server, taken out.
+"""Sphinx extension: what the theme and Jupyter Book do that these pages cannot use, put right.
 
-The pages are read from disk and without a network, where a live kernel cannot be reached and a
-browser refuses to preload fonts (the icons are drawn without them).
+The pages are read from disk and without a network, where a live kernel cannot be reached. The
+theme's icons come from a script of 1.5 MB; ``icons.css`` draws the few that are used. Some controls
+have a name for screen readers that is none, or another than the one that is seen.
 """
 
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
-FONT_PRELOAD = re.compile(r'\s*<link rel="preload" as="font"[^>]*>')
+PUT_RIGHT = [
+    (re.compile(pattern), right)
+    for pattern, right in (
+        (r"\s*<link[^>]*/vendor/fontawesome/[^>]*>", ""),
+        (r"\s*<script[^>]*/vendor/fontawesome/[^>]*></script>", ""),
+        (r'(<summary) aria-label="Toggle hidden content"', r"\1"),  # over "Show code cell source"
+        (r'<summary>(?=<span class="toctree-toggle")', '<summary aria-label="pages of this part">'),
+        (r'(<div role="list" class="citation-list"|<div class="[^"]*citation[^"]*" role="list")',
+         '<div class="citation-list"'),
+    )
+]  # fmt: skip
 
 
 def drop_thebe(app: Sphinx, config: object) -> None:
@@ -23,15 +35,19 @@ def drop_thebe(app: Sphinx, config: object) -> None:
     app.registry.css_files = [f for f in app.registry.css_files if f[0] != "sphinx-thebe.css"]
 
 
-def drop_font_preloads(app: Sphinx, exception: Exception | None) -> None:
-    """Remove the preload links from the finished pages."""
+def put_right(app: Sphinx, exception: Exception | None) -> None:
+    """Change the finished pages."""
     for page in Path(app.outdir).rglob("*.html"):
-        page.write_text(FONT_PRELOAD.sub("", page.read_text("utf8")), "utf8")
+        text = page.read_text("utf8")
+        for pattern, right in PUT_RIGHT:
+            text = pattern.sub(right, text)
+        page.write_text(text, "utf8")
+    shutil.rmtree(Path(app.outdir) / "_static/vendor/fontawesome", ignore_errors=True)
 
 
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     app.set_html_assets_policy("always")  # tooltips may hold formulas where the page has none
     app.connect("config-inited", drop_thebe)
-    app.connect("build-finished", drop_font_preloads)
+    app.connect("build-finished", put_right)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

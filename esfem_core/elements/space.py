@@ -313,9 +313,12 @@ class SurfaceSpace:
         )
 
     def mass_stiffness(self, x: Array) -> tuple[csr_array, csr_array]:
-        """Mass and stiffness matrix on Γ_h[x] ([N] 2.10).
+        r"""Mass and stiffness matrix on Γ_h[x] ([N] 2.10).
 
-        M(x)_ij = int phi_i phi_j,  A(x)_ij = int grad phi_i . grad phi_j.
+        .. math::
+
+            M(x)_{ij} = \int_{\Gamma_h[x]} \varphi_i \varphi_j, \qquad
+            A(x)_{ij} = \int_{\Gamma_h[x]} \nabla\varphi_i \cdot \nabla\varphi_j
 
         Parameters
         ----------
@@ -458,7 +461,9 @@ class SurfaceSpace:
         return total
 
     def load(self, x: Array, values: Array) -> Array:
-        """Load vector b_j = int_{Γ_h[x]} values phi_j, by quadrature.
+        r"""Load vector on Γ_h[x], by quadrature.
+
+        .. math:: b_j = \int_{\Gamma_h[x]} \text{values}\; \varphi_j
 
         Parameters
         ----------

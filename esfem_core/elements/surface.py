@@ -174,7 +174,9 @@ class Surface:
         return mean
 
     def load(self, values: ArrayLike | None, flux: ArrayLike | None = None) -> Array:
-        """Load vector b_j = int values phi_j + flux . grad phi_j.
+        r"""Load vector of values and a flux.
+
+        .. math:: b_j = \int \text{values}\; \varphi_j + \text{flux} \cdot \nabla\varphi_j
 
         Parameters
         ----------

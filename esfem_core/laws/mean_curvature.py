@@ -1,14 +1,20 @@
 r"""Mean curvature flow with the normal and the curvature evolved.
 
 For a surface that moves with v = V nu, the normal nu and H = div nu, the sum of the principal
-curvatures, obey (G. Huisken 1984; ' is the material derivative, ``|A|^2 = |grad nu|^2``)::
+curvatures, obey (G. Huisken 1984, with :math:`|A|^2 = |\nabla_\Gamma \nu|^2`)
 
-    nu' = -grad V,        H' = -lap V - |A|^2 V.
+.. math::
 
-With V = g - beta H and ``grad H = lap nu + |A|^2 nu`` they become parabolic::
+    \partial^\bullet \nu = -\nabla_\Gamma V, \qquad
+    \partial^\bullet H = -\Delta_\Gamma V - |A|^2 V.
 
-    nu' = beta lap nu + beta |A|^2 nu - grad g
-    H'  = beta lap H  + beta |A|^2 H  - lap g - |A|^2 g,
+With :math:`V = g - \beta H` and :math:`\nabla_\Gamma H = \Delta_\Gamma \nu + |A|^2 \nu` they become
+parabolic,
+
+.. math::
+
+    \partial^\bullet \nu &= \beta \Delta_\Gamma \nu + \beta |A|^2 \nu - \nabla_\Gamma g, \\
+    \partial^\bullet H &= \beta \Delta_\Gamma H + \beta |A|^2 H - \Delta_\Gamma g - |A|^2 g,
 
 which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
 Bound. 22, 2020, for g = g(u)), with optimal order in H1 for degrees k >= 2 and p <= 5. Here v is

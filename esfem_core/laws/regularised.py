@@ -15,8 +15,10 @@ __all__ = ["Regularised"]
 class Regularised(Law):
     r"""v - alpha lap v + beta H nu = g nu, [N] (2.8).
 
+    .. math:: v - \alpha \Delta_\Gamma v + \beta H \nu = g \nu
+
     H is the sum of the principal curvatures, positive on a sphere, and nu the outward unit normal.
-    In space, with K = M + alpha A, it is K v + beta A x = g, [N] (2.20).
+    In space, with :math:`K = M + \alpha A`, it is :math:`K v + \beta A x = g`, [N] (2.20).
 
     Parameters
     ----------

@@ -54,13 +54,20 @@ class Part(NamedTuple):
 class Species:
     r"""A substance that diffuses on the surface and is carried with it.
 
-    It solves, with u' the material derivative::
+    It solves
 
-        u' + u div v - div(D grad u) + rate u = source - div(flux)
+    .. math::
 
-    weakly, tested with phi::
+        \partial^\bullet u + u \nabla_\Gamma \cdot v - \nabla_\Gamma \cdot (D \nabla_\Gamma u)
+        + \text{rate}\; u = \text{source} - \nabla_\Gamma \cdot \text{flux}
 
-        d/dt int u phi + int D grad u . grad phi + rate u phi = int source phi + flux . grad phi
+    weakly, tested with :math:`\varphi`,
+
+    .. math::
+
+        \frac{\mathrm d}{\mathrm dt} \int u \varphi
+        + \int D \nabla_\Gamma u \cdot \nabla_\Gamma \varphi + \text{rate}\; u \varphi
+        = \int \text{source}\; \varphi + \text{flux} \cdot \nabla_\Gamma \varphi
 
     which for D = 1 without rate and flux is [N] (2.7) and [LMV] (2.1). In time, D, rate, source and
     flux are those of the extrapolated surface and functions; u itself is implicit, so that a large

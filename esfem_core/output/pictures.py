@@ -112,14 +112,15 @@ def draw(
     colours: Array | None,
     shades: tuple[float, float],
     room: Cube,
+    many: int = TRIANGLES,
 ) -> Any:
-    """Draw a surface into axes; returns its colour scale, or None."""
+    """Draw a surface into axes, with about so many triangles; returns its colour scale, or None."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LightSource, Normalize, to_rgba
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    pieces = int(np.clip(np.sqrt(TRIANGLES / len(space.cells)), space.degree, PIECES))
+    pieces = int(np.clip(np.sqrt(many / len(space.cells)), space.degree, PIECES))
     basis, triangles = refined(space, pieces)
     corners = (basis @ x[space.cells]).reshape(-1, 3)[triangles]
     scale = None

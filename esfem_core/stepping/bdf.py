@@ -17,10 +17,14 @@ __all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
 
 
 def delta(p: int) -> Array:
-    """Coefficients of the p-step backward difference formula ([N] (2.22), [LMV] (3.2)).
+    r"""Coefficients of the p-step backward difference formula ([N] (2.22), [LMV] (3.2)).
 
-    delta(z) = sum_{j=0..p} delta_j z^j = sum_{l=1..p} (1 - z)^l / l, so that
-    (1/tau) sum_j delta_j y(t - j tau) = y'(t) + O(tau^p). Summed in exact rationals.
+    .. math::
+
+        \delta(z) = \sum_{j=0}^p \delta_j z^j = \sum_{l=1}^p \frac{(1 - z)^l}{l}, \qquad
+        \frac1\tau \sum_{j=0}^p \delta_j\, y(t - j\tau) = y'(t) + O(\tau^p)
+
+    Summed in exact rationals.
 
     Parameters
     ----------
@@ -46,10 +50,12 @@ def delta(p: int) -> Array:
 
 
 def gamma(p: int) -> Array:
-    """Coefficients of extrapolation from the p last values ([N] (2.22)).
+    r"""Coefficients of extrapolation from the p last values ([N] (2.22)).
 
-    gamma(z) = sum_{j=0..p-1} gamma_j z^j = (1 - (1 - z)^p)/z, so that
-    sum_j gamma_j y(t - (j+1) tau) = y(t) + O(tau^p).
+    .. math::
+
+        \gamma(z) = \sum_{j=0}^{p-1} \gamma_j z^j = \frac{1 - (1 - z)^p}{z}, \qquad
+        \sum_{j=0}^{p-1} \gamma_j\, y(t - (j+1)\tau) = y(t) + O(\tau^p)
 
     Parameters
     ----------

@@ -49,12 +49,15 @@ def evolve(
 ) -> Iterator[State]:
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
-    For the coupled system, [N] (2.19)-(2.21): with the extrapolations
-    x~ = sum_j gamma_j x^{n-1-j} and u~ likewise::
+    For the coupled system, [N] (2.19)-(2.21), with :math:`K = M + \alpha A` and the extrapolations
+    :math:`\tilde x^n = \sum_j \gamma_j x^{n-1-j}` and :math:`\tilde u^n` likewise:
 
-        (1/tau) sum_j delta_j M(x~^{n-j}) u^{n-j} + A(x~^n) u^n = f(x~^n, u~^n)
-        K(x~^n) v^n + beta A(x~^n) x^n = g(x~^n, u~^n),     K = M + alpha A
-        (1/tau) sum_j delta_j x^{n-j} = v^n
+    .. math::
+
+        \frac1\tau \sum_{j=0}^p \delta_j M(\tilde x^{n-j}) u^{n-j} + A(\tilde x^n) u^n
+            &= f(\tilde x^n, \tilde u^n) \\
+        K(\tilde x^n) v^n + \beta A(\tilde x^n) x^n &= g(\tilde x^n, \tilde u^n) \\
+        \frac1\tau \sum_{j=0}^p \delta_j x^{n-j} &= v^n
 
     Each step assembles once and solves one (N, N) system for u and one for the three components
     of v. For a prescribed motion, [LMV] (3.1): the same without the last two lines, on the exact

@@ -1,11 +1,14 @@
 r"""Defects: what the exact nodal values leave over in the scheme ([N] (4.1), [LMV] (5.3)).
 
-Exact values x_*, v_*, u_* at the nodes, put into (2.19)-(2.21), leave d_u, d_v and d_x::
+Exact values x_*, v_*, u_* at the nodes, put into (2.19)-(2.21), leave d_u, d_v and d_x:
 
-    (1/tau) sum_j delta_j M(x~_*^{n-j}) u_*^{n-j} + A(x~_*^n) u_*^n
-                                        = f(x~_*^n, u~_*^n) + M(x_*^n) d_u^n
-    K(x~_*^n) v_*^n + beta A(x~_*^n) x_*^n = g(x~_*^n, u~_*^n) + M(x_*^n) d_v^n
-    (1/tau) sum_j delta_j x_*^{n-j}     = v_*^n + d_x^n
+.. math::
+
+    \frac1\tau \sum_{j=0}^p \delta_j M(\tilde x_*^{n-j}) u_*^{n-j} + A(\tilde x_*^n) u_*^n
+        &= f(\tilde x_*^n, \tilde u_*^n) + M(x_*^n) d_u^n \\
+    K(\tilde x_*^n) v_*^n + \beta A(\tilde x_*^n) x_*^n
+        &= g(\tilde x_*^n, \tilde u_*^n) + M(x_*^n) d_v^n \\
+    \frac1\tau \sum_{j=0}^p \delta_j x_*^{n-j} &= v_*^n + d_x^n
 
 Only the functionals M d_u and M d_v are ever needed, and the functions here return these.
 At levels j < p, where nothing can be extrapolated, M(x_*^j) is taken, as the scheme does.
@@ -78,11 +81,12 @@ class Defects(NamedTuple):
 
 
 def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
-    r"""Norm of a functional that is dual to the norm of K: (r^T K^{-1} r)^{1/2}.
+    r"""Norm of a functional that is dual to the norm of K, :math:`(r^T K^{-1} r)^{1/2}`.
 
-    With K = A + M and r = d this is [LMV]'s norm of a defect d, which contains the mass matrix.
-    With K = M + alpha A and r = M d it is [N]'s norm (d^T M K^{-1} M d)^{1/2} of a defect d,
-    which does not; for alpha = 1 it is dual to the full H1 norm.
+    With :math:`K = A + M` and :math:`r = d` this is [LMV]'s norm of a defect d, which contains the
+    mass matrix. With :math:`K = M + \alpha A` and :math:`r = M d` it is [N]'s norm
+    :math:`(d^T M K^{-1} M d)^{1/2}` of a defect d, which does not; for alpha = 1 it is dual to the
+    full H1 norm.
 
     Parameters
     ----------

@@ -132,7 +132,9 @@ def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
 
 def deformation(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
-    """D(v) = tr(E) I - (E + E^T) with E the surface gradient of v.
+    r"""The matrix D(v) that changes the Dirichlet integral of a moving surface.
+
+    .. math:: D(v) = \operatorname{tr}(E)\, I - (E + E^T), \qquad E = \nabla_{\Gamma_h} v
 
     [N] Lemma 3.1 (i). It says how fast a motion with velocity v changes the Dirichlet integral.
 

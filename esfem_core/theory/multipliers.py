@@ -1,10 +1,13 @@
-"""Multipliers and the matrix G of G-stability ([N] Section 4.1, [LMV] Section 3.3).
+r"""Multipliers and the matrix G of G-stability ([N] Section 4.1, [LMV] Section 3.3).
 
 For polynomials delta and mu without a common divisor and with Re(delta/mu) > 0 in the unit disc
-there are a positive definite G and real gamma_0, ..., gamma_p such that for all vectors::
+there are a positive definite G and real gamma_0, ..., gamma_p such that for all vectors
 
-    <sum_i delta_i v_{p-i}, sum_j mu_j v_{p-j}>
-        = sum_{i,j=1..p} g_ij (<v_i, v_j> - <v_{i-1}, v_{j-1}>) + |sum_i gamma_i v_i|^2
+.. math::
+
+    \Bigl\langle \sum_{i=0}^p \delta_i v_{p-i}, \sum_{j=0}^p \mu_j v_{p-j} \Bigr\rangle
+    = \sum_{i,j=1}^p g_{ij} \bigl( \langle v_i, v_j \rangle
+    - \langle v_{i-1}, v_{j-1} \rangle \bigr) + \Bigl| \sum_{i=0}^p \gamma_i v_i \Bigr|^2
 
 ([LMV] Lemma 3.1). On the unit circle Re(delta conj(mu)) is a polynomial F in x = cos(theta), and
 the identity says that F is the squared modulus of gamma there. So gamma is a spectral factor of F,
@@ -31,10 +34,11 @@ _SPLIT = 1e-6  # real zeros of F at most this far apart are a double zero that r
 
 
 def smallest_eta(p: int) -> float:
-    """Smallest eta for which delta(z)/(1 - eta z) of BDF has positive real part in the unit disc.
+    r"""Smallest eta for which delta(z)/(1 - eta z) of BDF has positive real part in the unit disc.
 
-    On the unit circle Re[delta(z) (1 - eta/z)] = a(x) - eta b(x) with x = Re z, and b < 0 for
-    x < 1. The smallest eta is the maximum of a/b; there a - eta b has a double zero.
+    On the unit circle :math:`\operatorname{Re}[\delta(z) (1 - \eta/z)] = a(x) - \eta b(x)` with
+    :math:`x = \operatorname{Re} z`, and b < 0 for x < 1. The smallest eta is the
+    maximum of a/b; there a - eta b has a double zero.
 
     Parameters
     ----------

@@ -2,12 +2,12 @@ r"""Peano kernels: the errors of difference quotients and extrapolation as integ
 
 A linear functional that is zero for polynomials of degree less than m and looks back p steps is
 
-    E[y](t) = tau^m int_0^p kappa(theta) y^(m)(t - theta tau) dtheta
+.. math:: E[y](t) = \tau^m \int_0^p \kappa(\theta)\, y^{(m)}(t - \theta\tau)\, d\theta
 
 with a kernel that belongs to the coefficients alone. From Taylor's formula with the remainder as
-an integral, kappa(theta) = E[(s + theta)_+^(m-1)]/(m-1)! at t = 0 for tau = 1: a piecewise
-polynomial with breaks at 0, 1, ..., p. [N] 6.2 and 6.3 and the proof of [LMV] Theorem 5.1 use it
-to bound defects in time; here it is computed.
+an integral, :math:`\kappa(\theta) = E[(\cdot + \theta)_+^{m-1}]/(m-1)!` at t = 0 for
+:math:`\tau = 1`: a piecewise polynomial with breaks at 0, 1, ..., p. [N] 6.2 and 6.3 and the
+proof of [LMV] Theorem 5.1 use it to bound defects in time; here it is computed.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,10 @@ __all__ = ["bdf_kernel", "extrapolation_kernel"]
 def bdf_kernel(p: int, degree: int | None = None) -> "PPoly":
     r"""Kernel of the error of the BDF quotient.
 
-    (1/tau) sum_j delta_j y(t - j tau) - y'(t)
-    = tau^q int_0^p kappa(theta) y^(q+1)(t - theta tau) dtheta
+    .. math::
+
+        \frac1\tau \sum_{j=0}^p \delta_j\, y(t - j\tau) - y'(t)
+        = \tau^q \int_0^p \kappa(\theta)\, y^{(q+1)}(t - \theta\tau)\, d\theta
 
     with q = p, or less for functions that have fewer derivatives. [LMV] in the proof of Theorem
     5.1 writes the error with the opposite sign, so that its sigma is -kappa.
@@ -68,8 +70,10 @@ def bdf_kernel(p: int, degree: int | None = None) -> "PPoly":
 def extrapolation_kernel(p: int, degree: int | None = None) -> "PPoly":
     r"""Kernel of the error of extrapolation from p values.
 
-    sum_j gamma_j y(t - (j+1) tau) - y(t)
-    = tau^q int_0^p kappa(theta) y^(q)(t - theta tau) dtheta
+    .. math::
+
+        \sum_{j=0}^{p-1} \gamma_j\, y(t - (j+1)\tau) - y(t)
+        = \tau^q \int_0^p \kappa(\theta)\, y^{(q)}(t - \theta\tau)\, d\theta
 
     Parameters
     ----------

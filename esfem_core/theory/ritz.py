@@ -62,10 +62,13 @@ def ritz_projection(
 ) -> Array:
     r"""Finite element function on Γ_h[x] with the stiffness and the integral of a function on Γ.
 
-    P_h z in S_h[x] with, for all phi_h in S_h[x] and their lifts,
+    For all :math:`\varphi_h \in S_h[x]` and their lifts :math:`\varphi_h^l`,
 
-        int_{Γ_h} grad P_h z . grad phi_h = int_Γ grad z . grad phi_h^l
-        int_{Γ_h} P_h z = int_Γ z
+    .. math::
+
+        \int_{\Gamma_h} \nabla P_h z \cdot \nabla \varphi_h
+            &= \int_\Gamma \nabla z \cdot \nabla \varphi_h^l \\
+        \int_{\Gamma_h} P_h z &= \int_\Gamma z
 
     Parameters
     ----------

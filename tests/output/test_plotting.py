@@ -1,9 +1,14 @@
 """Pictures: triangles keep orientation and area, the animation carries what it was given."""
 
+import base64
+import io
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bs4 import BeautifulSoup
+from PIL import Image
 
 import esfem_core as ec
 from esfem_core.elements import flat_triangles, node_indices
@@ -35,18 +40,50 @@ def test_animation_names_its_picture_its_script_and_its_times(run, monkeypatch):
     shown = surface_animation(space, states, title="a < b", div_id="here")
     text = shown._repr_html_()
     assert 'id="here"' in text
-    assert 'src="../_static/plotly.js"' in text
+    assert '"plotly":"../_static/plotly.js"' in text
     assert "a &lt; b" in text
-    assert all(f'"label":"{t}"' in text for t in ("0", "0.5", "1"))
+    assert '"times":["0","0.5","1"]' in text
+    assert (
+        "From t = 0 to 1: the surface measures 2 × 2 × 2 at first and 4 × 4 × 4 in the end; "
+        "u lies between -1 and 1."
+    ) in text
     assert text == surface_animation(space, states, title="a < b", div_id="here").text
     assert repr(shown) == "a < b: 3 frames, t = 0 to 1"
+
+
+def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
+    space, states = run
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    text = surface_animation(space, states, div_id="here").text
+    _, film = json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")
+    for state, columns in zip(states, film["frames"], strict=True):
+        whole = [np.frombuffer(base64.b64decode(c), "<u2") for c in columns]
+        for values, n, (low, high) in zip(
+            [*state.x.T, state.u], whole, film["ranges"], strict=True
+        ):
+            assert abs(low + n * (high - low) / 65535 - values).max() <= (high - low) / 65535
+    corners = [np.frombuffer(base64.b64decode(c), "<u4") for c in film["triangles"][0]]
+    assert (flat_triangles(space.cells, 2) == np.array(corners).T).all()
+
+
+def test_animation_has_controls_of_the_browser_and_stills_for_paper(run, monkeypatch):
+    space, states = run
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    page = BeautifulSoup(surface_animation(space, states, div_id="here").text, "html.parser")
+    assert page.button.text == "play"
+    assert page.find("input", type="range")["aria-label"] == "time"
+    assert page.select_one("[role=img]")["aria-label"].startswith("From t = 0 to 1")
+    kind, _, data = page.img["src"].partition(";base64,")
+    assert kind == "data:image/png"
+    with Image.open(io.BytesIO(base64.b64decode(data))) as stills:
+        assert stills.size == (900, 340)
 
 
 def test_animation_carries_its_script_where_no_page_has_one(run, monkeypatch):
     space, states = run
     monkeypatch.delenv("ESFEM_PLOTLY_JS", raising=False)
     text = surface_animation(space, states, values=lambda s: s.x[:, 2]).text
-    assert "src=" not in text.split("<script")[1]
+    assert "src=" not in text.split("<script")[1].split(">")[0]
     assert len(text) > 1_000_000
 
 

@@ -55,9 +55,12 @@ def browser():
 class Reader:
     """A page in an offline browser, with what went wrong on it."""
 
-    def __init__(self, browser, *, width=1280, height=900, scheme="light"):
+    def __init__(self, browser, *, width=1280, height=900, scheme="light", **options):
         self.context = browser.new_context(
-            viewport={"width": width, "height": height}, color_scheme=scheme, offline=True
+            viewport={"width": width, "height": height},
+            color_scheme=scheme,
+            offline=True,
+            **options,
         )
         self.tab = self.context.new_page()
         self.trouble = []

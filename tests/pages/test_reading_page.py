@@ -43,3 +43,13 @@ def test_an_equation_leads_to_the_line_that_names_it(reading, number):
         shown = BeautifulSoup(text, "html.parser").get_text()
         low, high = re.escape(f"({number})"), r"\(2\.19\)-\(2\.21\)"
         assert re.search(rf"{low}|{high}", shown), link
+
+
+def test_a_chapter_leads_to_the_functions_that_it_uses_and_they_lead_back():
+    chapter = BeautifulSoup((HTML / "book/05_g_stability.html").read_text("utf8"), "html.parser")
+    name = "esfem_core.theory.multipliers.smallest_eta"
+    links = [a["href"] for a in chapter.select(".esfem-from-the-package a")]
+    assert f"api/theory.html#{name}" in links
+    room = BeautifulSoup((HTML / "book/api/theory.html").read_text("utf8"), "html.parser")
+    back = [a["href"] for a in room.find(id=name).find_next("dd").select("a")]
+    assert "../05_g_stability.html" in back

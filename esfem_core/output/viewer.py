@@ -1,0 +1,247 @@
+"""The moving picture of a notebook or a web page: data, controls, a still for print, a description.
+
+The picture is drawn by plotly's script, which the page names or the picture carries; play, pause
+and the time slider are the browser's own controls. Where no script runs, and on paper, three
+stills stand for it.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import os
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from esfem_core.checks import Array, whole_number
+from esfem_core.elements import SurfaceSpace, flat_triangles
+from esfem_core.output.pictures import PLAIN, Cube, colour_range, cube, draw
+from esfem_core.tables import Html
+
+__all__ = ["Shot", "viewer"]
+
+Parts = dict[str, Any]  # of plotly's description of a picture
+Range = tuple[float, float]
+
+# fmt: off
+SURFACE: Parts = {
+    "type": "mesh3d", "colorscale": "Viridis", "flatshading": False,
+    "lighting": {
+        "ambient": 0.5, "diffuse": 0.7, "specular": 0.1,
+        "facenormalsepsilon": 0, "vertexnormalsepsilon": 0,  # small triangles count, too
+    },
+    "lightposition": {"x": 0, "y": 0, "z": 1e5},
+}
+COLOUR_BAR: Parts = {
+    "orientation": "h", "thickness": 10, "len": 0.6,
+    "y": 1.0, "yanchor": "bottom", "tickformat": ".2~g",
+}
+LAYOUT: Parts = {
+    "margin": {"l": 0, "r": 0, "t": 60, "b": 5}, "paper_bgcolor": "rgba(0,0,0,0)",
+    "uirevision": "keep",  # the reader's camera survives the next frame
+}
+AXIS: Parts = {"visible": False, "autorange": False}
+SCENE: Parts = {
+    "aspectmode": "cube", "dragmode": "turntable",
+    "camera": {"eye": {"x": 1.1, "y": 1.1, "z": 0.7}},
+}
+# fmt: on
+STILL = 4_000  # triangles of a still, if the elements are not more
+
+
+class Shot(NamedTuple):
+    """One frame: a surface and the function that colours it.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    t : float
+    x : (N, 3) floats
+    colours : (N,) floats, or None
+        None for a surface without a function.
+    """
+
+    space: SurfaceSpace
+    t: float
+    x: Array
+    colours: Array | None
+
+
+def viewer(
+    shots: Sequence[Shot],
+    title: str,
+    label: str,
+    name: str,
+    duration: int,
+    limits: tuple[float, float] | None = None,
+) -> Html:
+    """Show frames as a moving surface with a play button and a time slider.
+
+    Each element is drawn as k² flat triangles between its nodes. Positions and values have 16 bits
+    each, which is finer than a screen.
+
+    Parameters
+    ----------
+    shots : sequence of Shot
+        At least one.
+    title, label : str
+        Below the picture, and at its colour bar.
+    name : str
+        Identifier of the picture.
+    duration : int
+        Milliseconds per frame, positive.
+    limits : (float, float), optional
+        Values of the first and the last colour.
+
+    Returns
+    -------
+    Html
+        With plotly's script inside, unless the environment variable ``ESFEM_PLOTLY_JS`` says where
+        the page finds it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `duration` or `limits` are none.
+    """
+    whole_number("duration", duration, 1)
+    room = cube([shot.x for shot in shots])
+    shades = colour_range([shot.colours for shot in shots], limits)
+    times = [f"{shot.t:.4g}" for shot in shots]
+    place = os.environ.get("ESFEM_PLOTLY_JS") or None
+    film = {
+        "plotly": place,
+        "times": times,
+        "duration": duration,
+        "trace": _trace(shades, label, plain=shots[0].colours is None),
+        "layout": LAYOUT | {"scene": _scene(room)},
+        **_data(shots, room),
+    }
+    script = resources.files("esfem_core.output").joinpath("viewer.js").read_text("utf8")
+    style = resources.files("esfem_core.output").joinpath("viewer.css").read_text("utf8")
+    identifier, says = html.escape(name), html.escape(_description(shots, label))
+    caption = f"{html.escape(title)} <small>{says}</small>" if title else says
+    text = (
+        f'<figure class="esfem-animation" id="{identifier}"><style>{style}</style>'
+        f"{'' if place else _plotly()}"
+        f'<div class="esfem-frame" role="img" aria-label="{says}">{_poster(shots, room, shades)}'
+        '<div class="esfem-stage"></div></div>'
+        '<div class="esfem-controls" role="group" aria-label="moving picture" hidden>'
+        '<button type="button">play</button>'
+        '<input type="range" min="0" max="1" value="0" step="1" aria-label="time">'
+        f"<output></output></div><figcaption>{caption}</figcaption>"
+        f"<script>{script.strip()}({_json(name)}, {_json(film)});</script></figure>"
+    )
+    return Html(text, f"{title or 'animation'}: {len(times)} frames, t = {times[0]} to {times[-1]}")
+
+
+def _json(value: object) -> str:
+    """JSON that may stand in a page."""
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _plotly() -> str:
+    """The script that draws, for a page that does not have it."""
+    from plotly.offline import get_plotlyjs
+
+    return f"<script>window.PlotlyConfig = {{MathJaxConfig: 'local'}};{get_plotlyjs()}</script>"
+
+
+def _data(shots: Sequence[Shot], room: Cube) -> Parts:
+    """Positions, values and triangles as text; triangles of a later frame if the space changes."""
+    centre, reach = room
+    sides = [(middle - reach, middle + reach) for middle in centre.tolist()]
+    ranges = [*sides, colour_range([shot.colours for shot in shots])]
+    frames = [
+        [_packed(values, r) for values, r in zip(_columns(shot), ranges, strict=True)]
+        for shot in shots
+    ]
+    changes = any(shot.space is not shots[0].space for shot in shots)
+    return {
+        "ranges": ranges,
+        "frames": frames,
+        "triangles": [_triangles(shot.space) for shot in (shots if changes else shots[:1])],
+    }
+
+
+def _columns(shot: Shot) -> list[Array]:
+    colours = np.zeros(len(shot.x)) if shot.colours is None else shot.colours
+    return [*shot.x.T, colours]
+
+
+def _packed(values: Array, within: Range) -> str:
+    """Numbers as multiples of 1/65535 of a range, two bytes each, the lower one first."""
+    low, high = within
+    share = (values - low) / ((high - low) or 1.0)
+    return base64.b64encode(np.rint(65535 * share.clip(0, 1)).astype("<u2").tobytes()).decode()
+
+
+def _triangles(space: SurfaceSpace) -> list[str]:
+    corners = flat_triangles(space.cells, space.degree).astype("<u4").T
+    return [base64.b64encode(column.tobytes()).decode() for column in corners]
+
+
+def _trace(shades: Range, label: str, *, plain: bool) -> Parts:
+    """Colours and light."""
+    text = {
+        "hovertemplate": f"{label} = %{{intensity:.4g}}<extra></extra>",
+        "colorbar": {"title": {"text": label, "side": "top"}} | COLOUR_BAR,
+    }
+    one_colour = {"colorscale": [[0, PLAIN], [1, PLAIN]], "showscale": False, "hoverinfo": "skip"}
+    shown = {"cmin": shades[0], "cmax": shades[1]} | SURFACE
+    return shown | (one_colour if plain else text)
+
+
+def _scene(room: Cube) -> Parts:
+    """A cube with room for the surface at all times."""
+    centre, reach = room
+    axes = {
+        f"{name}axis": AXIS | {"range": [middle - 1.02 * reach, middle + 1.02 * reach]}
+        for name, middle in zip("xyz", centre.tolist(), strict=True)
+    }
+    return axes | SCENE
+
+
+def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
+    """First, middle and last frame side by side, as a PNG inside the page."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    chosen = [shots[i] for i in sorted({0, len(shots) // 2, len(shots) - 1})]
+    figure = Figure(figsize=(3 * len(chosen), 3.4), facecolor="none")
+    FigureCanvasAgg(figure)
+    for i, shot in enumerate(chosen):
+        place = (i / len(chosen), 0, 1 / len(chosen), 0.9)
+        ax: Any = figure.add_axes(place, projection="3d", facecolor="none")
+        draw(ax, shot.space, shot.x, shot.colours, shades, room, STILL)
+        ax.set_axis_off()
+        ax.set_title(f"t = {shot.t:.4g}", color="#767676")  # on white and on black
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=100, metadata={"Software": None})
+    picture = base64.b64encode(file.getvalue()).decode()
+    return f'<img class="esfem-poster" alt="" src="data:image/png;base64,{picture}">'
+
+
+def _description(shots: Sequence[Shot], label: str) -> str:
+    """What happens, in words: size and values at first and in the end."""
+    first, last = shots[0], shots[-1]
+    size = [" × ".join(f"{side:.3g}" for side in np.ptp(s.x, axis=0)) for s in (first, last)]
+    says = f"From t = {first.t:.4g} to {last.t:.4g}: the surface measures {size[0]}"
+    says += f" at first and {size[1]} in the end" if size[1] != size[0] else " all the time"
+    spans = [_span(shot.colours) for shot in (first, last) if shot.colours is not None]
+    if len(spans) == 2:
+        name = label or "its colour"
+        says += f"; {name} lies between {spans[0]}"
+        says += f" at first and between {spans[1]} in the end" if spans[1] != spans[0] else ""
+    return f"{says}."
+
+
+def _span(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    least = 1e-3 * max(abs(low), abs(high))  # what is less is nothing beside it
+    return " and ".join(f"{v if abs(v) > least else 0:.3g}" for v in (low, high))
