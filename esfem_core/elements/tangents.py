@@ -44,8 +44,8 @@ class TangentPlanes:
     >>> planes = TangentPlanes(ec.Surface(space, space.nodes), 0.05)
     >>> planes.distance(np.array([[0.0, 0.0, 1.5]])).round(3)
     array([0.5])
-    >>> planes.normal(np.array([[0.5, 1.0, 1.0]])).round(2)
-    array([[0.33, 0.67, 0.67]])
+    >>> planes.normal(np.array([[0.5, 1.0, 1.0]])).round(1)
+    array([[0.3, 0.7, 0.7]])
     """
 
     def __init__(self, at: Surface, spacing: float | Array) -> None:
