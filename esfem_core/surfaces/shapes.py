@@ -129,9 +129,14 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     if r >= R:
         raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
     n, m = whole_number("n", n, 3), whole_number("m", m, 3)
-    # Made at unit size: trimesh takes vertices for one that are nearer than 1e-8.
-    unit = trimesh.creation.torus(1.0, r / R, major_sections=n, minor_sections=m)
-    return trimesh.Trimesh(R * unit.vertices, unit.faces, process=False)
+    # trimesh.creation.torus has changed its diagonals, and with them all numbers, at version 5.
+    around, along = np.linspace(0, 2 * np.pi, n + 1)[:-1, None], np.linspace(0, 2 * np.pi, m + 1)
+    distance, height = r / R * np.cos(along[:-1]) + 1.0, r / R * np.sin(along[:-1])
+    x = np.cos(around) * distance, np.sin(around) * distance, np.broadcast_to(height, (n, m))
+    a = np.arange(n * m).reshape(n, m)
+    b, c, d = np.roll(a, -1, 0), np.roll(a, -1, 1), np.roll(a, (-1, -1), (0, 1))
+    faces = np.stack([a, b, c, c, b, d], axis=-1).reshape(-1, 3)
+    return trimesh.Trimesh(R * np.stack(x, axis=-1).reshape(-1, 3), faces, process=False)
 
 
 def displaced(

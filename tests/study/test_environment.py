@@ -67,6 +67,7 @@ def test_the_date_is_read_each_time(monkeypatch):
 
 
 def test_pages_are_made_again_when_code_data_or_pins_change(checkout):
+    pytest.importorskip("sphinx")
     spec = importlib.util.spec_from_file_location("cache", ROOT / "book/_ext/package_cache.py")
     cache = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(cache)

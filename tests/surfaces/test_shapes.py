@@ -157,3 +157,12 @@ def test_numbers_of_any_library_make_the_same_mesh():
     ]:
         assert np.array_equal(first.vertices, second.vertices)
         assert np.array_equal(first.faces, second.faces)
+
+
+def test_the_diagonals_of_a_torus_do_not_depend_on_the_version_of_trimesh():
+    faces = ec.torus(1.0, 0.4, 4, 3).faces
+    assert faces[:6].tolist() == [[0, 3, 1], [1, 3, 4], [1, 4, 2], [2, 4, 5], [2, 5, 0], [0, 5, 3]]
+    # Every quadrilateral is cut alike: each vertex has six neighbours, three on either side.
+    assert (np.bincount(faces.ravel()) == 6).all()
+    shifted = (faces.reshape(4, 6, 3)[0] + 3 * np.arange(4)[:, None, None]) % 12
+    np.testing.assert_array_equal(shifted, faces.reshape(4, 6, 3))
