@@ -45,6 +45,15 @@
   const formulas = window.MathJax && MathJax.startup && MathJax.startup.promise;
   (formulas || Promise.resolve()).then(ready);
 
+  // Paper is white.
+  const page = document.documentElement;
+  let theme;
+  addEventListener("beforeprint", () => {
+    theme = page.dataset.theme;
+    page.dataset.theme = "light";
+  });
+  addEventListener("afterprint", () => { page.dataset.theme = theme; });
+
   // Filters of the claims ledger.
   const title = (page) => {
     const link = document.querySelector(`.bd-links a[href$="${page}.html"]`);

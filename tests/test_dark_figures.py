@@ -1,0 +1,45 @@
+"""Figures for the dark theme: greys turned round, lines bright enough, colour maps as they are."""
+
+import figures
+import pytest
+from matplotlib.figure import Figure
+
+from esfem_core.output import COLOURS
+
+
+@pytest.fixture
+def drawn(tmp_path):
+    ax = Figure().subplots()
+    ax.plot([0, 1], [0, 1], color="#0072b2")
+    ax.bar([0.5], [0.5], color="#440154")
+    ax.set_xlabel("time")
+    ax.figure.savefig(tmp_path / "figure.svg")
+    return (tmp_path / "figure.svg").read_text("utf8")
+
+
+def test_black_becomes_light_and_the_paper_is_let_through(drawn):
+    dark = figures.dark(drawn)
+    assert "#000000" not in dark
+    assert "#ffffff" not in dark
+    assert 'style="fill: none"' in dark
+    assert '<svg fill="#ced6dd"' in dark  # letters name no colour where they are black
+
+
+def test_lines_are_bright_enough_and_areas_keep_their_colour(drawn):
+    dark = figures.dark(drawn)
+    assert "stroke: #0072b2" not in dark
+    assert "fill: #440154" in dark
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+def test_every_colour_of_the_palette_can_be_told_from_the_dark_paper(colour):
+    assert figures.contrast(figures.lighter(colour.lower())) >= 4.5
+
+
+def test_a_page_shows_one_of_two_pictures_and_links_to_it():
+    name = "../_images/" + 64 * "a"
+    context = {"body": f'<p><img alt="A line." src="{name}.svg" /></p>'}
+    figures.link(None, "page", "page.html", context, None)
+    assert f'esfem-light" href="{name}.svg"' in context["body"]
+    assert f'esfem-dark" href="{name}-dark.svg"' in context["body"]
+    assert context["body"].count('alt="A line."') == 2
