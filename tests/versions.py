@@ -17,7 +17,16 @@ ROOT = Path(__file__).parents[1]
 ROOMS = (
     "solvers surfaces elements laws problems stepping theory study test_checks.py test_errors.py"
 )
-TOOLS = ["pytest", "pytest-xdist", "pyyaml", "packaging", "matplotlib", "plotly>=6", "tqdm"]
+TOOLS = [
+    "pytest",
+    "pytest-xdist",
+    "pyyaml",
+    "packaging",
+    "matplotlib",
+    "plotly>=6",
+    "tqdm",
+    "cloudpickle",
+]
 
 
 def requirements(project: dict, which: str) -> list[str]:
@@ -38,7 +47,7 @@ def main(which: str, arguments: list[str]) -> int:
     folder = ROOT / "_build" / which
     venv.create(folder, clear=True, with_pip=True)
     python = folder / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    optional = [r for name in ("files", "mesh", "symbolic") for r in extras(project, name)]
+    optional = [r for name in ("fast", "files", "mesh", "symbolic") for r in extras(project, name)]
     install = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--upgrade"]
     subprocess.run([*install, *requirements(project, which), *optional, *TOOLS], check=True)
     subprocess.run([*install, "--no-deps", "-e", ROOT], check=True)
