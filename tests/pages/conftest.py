@@ -80,7 +80,7 @@ class Reader:
 
     def open(self, page):
         """Open a page of the book and wait until its formulas are set."""
-        self.tab.goto((HTML / page).as_uri(), wait_until="load")
+        self.tab.goto((HTML / page).as_uri(), wait_until="load", timeout=60_000)
         self.tab.evaluate("() => window.MathJax && MathJax.startup && MathJax.startup.promise")
         return self.tab
 
