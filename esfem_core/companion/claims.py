@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from esfem_core.checks import number, one_of
+from esfem_core.companion.checking import STRICT
 
 __all__ = [
     "CONFIRMED",
@@ -65,7 +66,6 @@ _SECOND = {
 }
 _ID = re.compile(r"[A-Z]+-[A-Z]?\d+(\.\d+)*(-[a-z][a-z0-9]*)+")
 _ACCEPTED = Path(__file__).parent / "data" / "verdicts.json"
-STRICT = "ESFEM_STRICT"
 
 
 @dataclass(frozen=True)
