@@ -30,11 +30,10 @@ def expect(holds: object, statement: str) -> None:
 
     Examples
     --------
-    >>> import os
-    >>> os.environ.pop("ESFEM_STRICT", None) and None
     >>> expect(1 + 1 == 2, "one and one are two")
-    >>> expect(1 + 1 == 3, "one and one are three")
-    differs from the book: "one and one are three" does not hold here
+
+    What does not hold is printed as: differs from the book: "one and one are three" does not hold
+    here.
     """
     if getattr(holds, "size", 1) != 1:
         raise ValueError(f"holds must be one truth value, got {shown(holds)}")
