@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from esfem_core.checks import Array, finite_array, output_path, whole_number
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    function,
+    items,
+    iterable,
+    object_of,
+    output_path,
+    shown,
+    string,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace, flat_triangles
 from esfem_core.output.pictures import (
     PLAIN,
@@ -70,6 +82,7 @@ SLIDER: Parts = {
     "transition": {"duration": 0},
 }
 # fmt: on
+IDENTIFIER = r"[\w-]+"
 PLAY_ONCE = (
     "if (!window.matchMedia('(prefers-reduced-motion: reduce)').matches) "
     "Plotly.animate('{{plot_id}}', null, {timing}).catch(() => {{}});"
@@ -129,9 +142,20 @@ def surface_animation(
     >>> surface_animation(space, states, title="A growing sphere")
     A growing sphere: 2 frames, t = 0 to 0.5
     """
-    shots, n = list(states), len(space.nodes)
+    object_of("space", space, SurfaceSpace)
+    string("title", title)
+    string("label", label)
+    if not re.fullmatch(IDENTIFIER, string("div_id", div_id)):
+        raise ValueError(f"div_id must be letters, digits, - and _, got {div_id!r}")
+    if values is not None:
+        function("values", values, "of a state, or None")
+    shots: list[Any] = list(iterable("states", states, "States"))
     if not shots:
-        raise ValueError("there is no state to draw")
+        raise ValueError("states must hold at least one state, got none")
+    n = len(space.nodes)
+    for i, s in enumerate(shots):
+        if not hasattr(s, "x") or not hasattr(s, "t"):
+            raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
     nodes = [finite_array("x", s.x, (n, 3)) for s in shots]
     chosen = [s.u if values is None else values(s) for s in shots]
     colours = [finite_array("values", c, (n,)) for c in chosen]
@@ -192,9 +216,10 @@ def animate(
     """
     file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
     whole_number("duration", duration, 1)
-    shots = [states] if isinstance(states, State) else list(states)
-    if not shots:
-        raise ValueError("there is no state to draw")
+    string("title", title)
+    if label is not None:
+        string("label", label)
+    shots = [states] if isinstance(states, State) else items("states", states, State)
     spaces = [known_space(s, f"states[{i}]") for i, s in enumerate(shots)]
     named = [nodal_values(s, values) for s in shots]
     label = named[0][0] if label is None else label
@@ -204,7 +229,7 @@ def animate(
         np.zeros(len(s.x)) if c is None else c for s, (_, c) in zip(shots, named, strict=True)
     ]
     times, nodes = [s.t for s in shots], [s.x for s in shots]
-    name = "esfem-animation" if file is None else file.stem
+    name = "esfem-animation" if file is None else re.sub(rf"(?!{IDENTIFIER}).", "-", file.stem)
     plain = named[0][1] is None
     page = _page(spaces, times, nodes, colours, title, label, name, duration, limits, plain=plain)
     if file is None:
@@ -307,8 +332,8 @@ def _triangles(space: SurfaceSpace) -> Parts:
 def _fixed_part(shades: tuple[float, float], label: str, plain: bool) -> Parts:
     """Colours and light."""
     text = {
-        "hovertemplate": f"{label} = %{{intensity:.4g}}<extra></extra>",
-        "colorbar": {"title": {"text": label, "side": "top"}} | COLOUR_BAR,
+        "hovertemplate": f"{html.escape(label)} = %{{intensity:.4g}}<extra></extra>",
+        "colorbar": {"title": {"text": html.escape(label), "side": "top"}} | COLOUR_BAR,
     }
     one_colour = {"colorscale": [[0, PLAIN], [1, PLAIN]], "showscale": False, "hoverinfo": "skip"}
     shown = {"cmin": shades[0], "cmax": shades[1]} | SURFACE

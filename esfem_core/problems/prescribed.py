@@ -7,7 +7,7 @@ import numpy as np
 
 from esfem_core.checks import Array, one_of
 from esfem_core.elements import Surface
-from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.problem import Exact, Problem, at_points
 from esfem_core.surfaces.exact_surfaces import Ellipsoid
 
 __all__ = ["Evaluation", "Solution", "baseball_bat", "oscillating_ellipsoid"]
@@ -107,11 +107,11 @@ def oscillating_ellipsoid(
         f=f,
         motion=position,
         exact=Exact(
-            position,
-            velocity,
-            exact_u,
-            lambda x, t: _closest_on_spheroid(x, a(t)),
-            lambda x, t: x / [np.sqrt(a(t)), 1, 1],
+            at_points(position),
+            at_points(velocity),
+            at_points(exact_u),
+            at_points(lambda x, t: _closest_on_spheroid(x, a(t))),
+            at_points(lambda x, t: x / [np.sqrt(a(t)), 1, 1]),
         ),
     )
 

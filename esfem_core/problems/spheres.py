@@ -10,7 +10,7 @@ from scipy.special import lambertw
 
 from esfem_core.checks import Array, number, one_of
 from esfem_core.elements import Surface
-from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.problem import Exact, Problem, at_points
 from esfem_core.surfaces import to_unit_sphere
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
 ]
 
 Coupling = Literal["smooth", "printed", "none"]
+MOST_EVALUATIONS = 100_000  # of the equation of a radius: a second of time
 
 
 def expanding_sphere(
@@ -49,6 +50,7 @@ def expanding_sphere(
     ValueError
         If `coupling` is unknown.
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
 
     def a(t: float) -> float:
         return float(np.exp(-(t**2)))
@@ -140,9 +142,9 @@ def logistic_sphere(
     >>> print(f"{np.linalg.norm(last.x, axis=1).max():.4f} {e.x_l2:.0e} {e.u_l2:.0e}")
     1.2449 5e-05 1e-05
     """
-    number("delta", delta)
-    number("limit", limit, above=0)
-    number("rate", rate, above=0)
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
+    delta, limit = number("delta", delta), number("limit", limit, above=0)
+    rate = number("rate", rate, above=0)
 
     def r(t: float) -> float:
         decay = float(np.exp(-rate * t))
@@ -190,17 +192,22 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
         With alpha = 0, its exact solution ends at t = 1/(4 beta), and asking for a later time is a
         ValueError.
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     u0 = number("u0", u0)
 
     def radius(t: float) -> float:
         square = 1 - 4 * beta * number("t", t)
         if alpha == 0:
             if square <= 0:
-                raise ValueError(f"the sphere vanishes at t = {1 / (4 * beta)}, asked for t = {t}")
+                raise ValueError(
+                    f"t must be before the sphere vanishes at t = {1 / (4 * beta)}, got {t}"
+                )
             return float(np.sqrt(square))
         # y + ln(y) = w with y = r^2/(2 alpha): y is Lambert's function of e^w, which overflows.
         w = square / (2 * alpha) - np.log(2 * alpha)
         y = float(lambertw(np.exp(w)).real) if w < 700 else _lambert_of_exponential(w)
+        if not 0 < y < np.inf:
+            raise ValueError(f"t must be nearer to 0: the radius is out of range there, got {t}")
         return float(np.sqrt(2 * alpha * y))
 
     def speed(r: float) -> float:
@@ -233,24 +240,33 @@ def growing_sphere(
     -------
     Problem
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
+    delta, u0 = number("delta", delta), number("u0", u0)
 
     def speed(r: float) -> float:
         return (delta * u0 - 2 * beta * r) / (r * r + 2 * alpha)
-
-    delta, u0 = number("delta", delta), number("u0", u0)
-    number("alpha", alpha, least=0)
-    number("beta", beta, least=0)
 
     @lru_cache(maxsize=4096)
     def radius(t: float) -> float:
         t = number("t", t)
         if t == 0:
             return 1.0
-        solution = solve_ivp(
-            lambda _, r: speed(r[0]) * np.ones(1), (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14
-        )
-        if not solution.success:
-            raise ValueError(f"no exact radius at t = {t}: {solution.message}")
+        count = 0
+
+        def rate(_: float, r: Array) -> Array:
+            nonlocal count
+            count += 1
+            if count > MOST_EVALUATIONS or not r[0] > 0:  # a radius is positive
+                reason = "no sphere is left" if count <= MOST_EVALUATIONS else "it is too far away"
+                raise ValueError(f"t must have an exact radius, but {reason} at t = {t}")
+            return speed(r[0]) * np.ones(1)
+
+        with np.errstate(all="ignore"):  # found by the test of r
+            solution = solve_ivp(rate, (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14)
+        if not (solution.success and solution.y[0, -1] > 0):
+            raise ValueError(
+                f"t must have an exact radius, but none is found at t = {t}: {solution.message}"
+            )
         return float(solution.y[0, -1])
 
     def g(at: Surface) -> Array:
@@ -289,9 +305,9 @@ def _exact_sphere(
 ) -> Exact:
     """The solution u on a sphere of radius r(t) that moves along its normals with r'(t)."""
     return Exact(
-        lambda p, t: radius(t) * p,
-        lambda p, t: speed(t) * p,
-        u,
-        lambda x, t: radius(t) * to_unit_sphere(x),
-        lambda x, t: to_unit_sphere(x),
+        at_points(lambda p, t: radius(t) * p),
+        at_points(lambda p, t: speed(t) * p),
+        at_points(u),
+        at_points(lambda x, t: radius(t) * to_unit_sphere(x)),
+        at_points(lambda x, t: to_unit_sphere(x)),
     )

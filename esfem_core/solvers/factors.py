@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from esfem_core.checks import Array, Ints
-from esfem_core.solvers.systems import right_hand_side, square
+from esfem_core.checks import Array, Ints, function, integer_array
+from esfem_core.solvers.systems import check_residual, right_hand_side, square
 
 __all__ = ["DirectSolver", "Factor", "Solver", "cholmod", "superlu"]
 
@@ -48,9 +48,11 @@ def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
     n = square(A)
     if order is None:
         return np.arange(n)
-    order = np.asarray(order)
+    order = integer_array("order", order, ("N",))
     if order.shape != (n,) or not np.array_equal(np.sort(order), np.arange(n)):
-        raise ValueError(f"order must hold each of the numbers 0, ..., {n - 1} of unknowns once")
+        raise ValueError(
+            f"order must hold each of the numbers 0, ..., {n - 1} of unknowns once, but does not"
+        )
     return order
 
 
@@ -170,7 +172,7 @@ class DirectSolver:
 
     def __init__(self, factorise: Callable[[csr_array], Factor] = superlu) -> None:
         self.factorisations = 0
-        self._factorise = factorise
+        self._factorise = function("factorise", factorise, "from a matrix to its Factor")
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b; the guess is not used.
@@ -193,12 +195,17 @@ class DirectSolver:
         ValueError
             If `A` is not square, or `b` does not fit it.
         numpy.linalg.LinAlgError
-            If the matrix is singular.
+            If the matrix is singular, or not symmetric and positive definite and the residual of
+            the answer shows it.
+        FloatingPointError
+            If `b` is not finite.
         """
         b = right_hand_side(square(A), b)
         factor = self._factorise(A)
         self.factorisations += 1
-        return factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
+        x: Array = factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
+        check_residual(A, b, x)
+        return x
 
     def __repr__(self) -> str:
         function = self._factorise

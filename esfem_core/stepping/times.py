@@ -46,7 +46,9 @@ def count_steps(start: float, step: float, end: float) -> int:
     step, end = number("step", step, above=0), number("end", end)
     quotient = (end - start) / step
     if not quotient < 2.0**53:
-        raise ValueError(f"step is too small: end/step is {quotient:.3g}, got step = {step!r}")
+        raise ValueError(
+            f"step must be larger: end/step is {quotient:.3g}, too many steps, got {step!r}"
+        )
     n_steps = round(quotient)
     if n_steps < 0:
         raise ValueError(f"end must not be before the start at t = {start!r}, got {end!r}")

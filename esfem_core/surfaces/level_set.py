@@ -8,10 +8,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.checks import Array, finite_array, function, real_array
 from esfem_core.surfaces.differences import derivative
 
-__all__ = ["Field", "central_gradient", "checked_values", "descend", "project_to_level_set"]
+__all__ = [
+    "Field",
+    "central_gradient",
+    "checked_gradient",
+    "checked_values",
+    "descend",
+    "project_to_level_set",
+]
 
 Field = Callable[[Array], Array]
 
@@ -50,7 +57,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     array([[2., 0., 0.],
            [0., 0., 1.]])
     """
-    gradient = central_gradient(d) if gradient is None else gradient
+    gradient = checked_gradient(d, gradient)
 
     def project(points: Array) -> Array:
         x = finite_array("points", points, ("n", 3))
@@ -68,11 +75,21 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
                 return y
             y[todo] = descend(d, gradient, y[todo] + tangential)
         raise ValueError(
-            f"no closest point found for {x[todo[0]].tolist()} ({len(todo)} such points): it is "
-            "too far from the surface for its curvature"
+            f"points must be near the surface, but no closest point was found for "
+            f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
+            "its curvature"
         )
 
     return project
+
+
+def checked_gradient(d: Field, gradient: Field | None) -> Field:
+    """The gradient of d: the given one, or differences."""
+    function("d", d, "of points (n, 3)")
+    if gradient is None:
+        return central_gradient(d)
+    function("gradient", gradient, "of points (n, 3), or None")
+    return gradient
 
 
 def descend(d: Field, gradient: Field, points: Array) -> Array:
@@ -109,7 +126,7 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         square = (g * g).sum(axis=1)
         if not (square > 0).all():
             i = todo[np.argmin(square)]
-            raise ValueError(f"the gradient of d vanishes at {x[i].tolist()}")
+            raise ValueError(f"the gradient of d must not vanish, but is zero at {x[i].tolist()}")
         step = -(value / square)[:, None] * g
         x[todo] += step
         todo = todo[np.linalg.norm(step, axis=1) > ON_SURFACE * scale]
@@ -148,11 +165,14 @@ def _scale(x: Array) -> float:
     return float(np.abs(x).max(initial=0)) or 1.0
 
 
-def checked_values(function: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
+def checked_values(given: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
     """Values of a user's function, refused unless they are finite and of the right shape."""
-    values = real_array(f"values of {name}", function(x), (len(x), *shape))
+    values = real_array(f"values of {name}", given(x.copy()), (len(x), *shape))
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         i = int(np.argmax(bad))
-        raise ValueError(f"{name} is {values[i].tolist()} at {x[i].tolist()}")
+        raise ValueError(
+            f"values of {name} must be finite, but {name} is {values[i].tolist()} at "
+            f"{x[i].tolist()}"
+        )
     return values

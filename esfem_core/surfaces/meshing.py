@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from esfem_core.checks import Array, Ints, finite_array, number
 from esfem_core.surfaces.check import check_triangulation
 from esfem_core.surfaces.edges import collapse, edges_of, flip, split
-from esfem_core.surfaces.level_set import Field, central_gradient, checked_values, descend
+from esfem_core.surfaces.level_set import Field, checked_gradient, checked_values, descend
 from esfem_core.surfaces.quality import Quality, mesh_quality
 
 __all__ = ["MeshingError", "from_level_set"]
@@ -93,7 +93,7 @@ def from_level_set(
     """
     low, high = _box(bounds)
     h = number("h", h, above=0)
-    gradient = central_gradient(d) if gradient is None else gradient
+    gradient = checked_gradient(d, gradient)
     x, faces = _first_mesh(d, low, high, h)
     x = descend(d, gradient, x)
     before = 0.0
@@ -136,8 +136,8 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Int
     points = np.prod(2.0 * cells + 1)
     if points > MAX_POINTS:
         raise ValueError(
-            f"h = {h:g} is too small for this box: the grid would have {points:.0f} points "
-            f"(allowed: {MAX_POINTS}); take a tighter box or a larger h"
+            f"h must be larger for this box: with h = {h:g} the grid is of {points:.2g} points "
+            f"(allowed: {MAX_POINTS:.0e}); take a tighter box or a larger h"
         )
     axes = [np.linspace(a, b, 2 * n + 1) for a, b, n in zip(low, high, cells, strict=True)]
     spacing = (high - low) / (2 * cells)
@@ -147,7 +147,7 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Int
     found, finer = _topology(faces), _topology(_march(values, low, spacing)[1])
     if found != finer:
         raise ValueError(
-            f"h = {h:g} is too large for this surface: on a grid of spacing "
+            f"h must be smaller for this surface, got {h:g}, which is too large: on a grid of spacing "
             f"{2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the spacing "
             f"{_in_words(finer)}"
         )
@@ -270,7 +270,7 @@ def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float) -> None:
     if not cosine[worst] > MAX_TURN:
         angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
         raise ValueError(
-            f"h = {h:g} is too large for this surface: near {x[faces[worst, 0]].round(3).tolist()} "
+            f"h must be smaller for this surface, got {h:g}, which is too large: near {x[faces[worst, 0]].round(3).tolist()} "
             f"it turns by {angle:.0f} degrees within a triangle (allowed: 60)"
         )
 

@@ -58,7 +58,9 @@ def smallest_eta(p: int) -> float:
     """
     p = whole_number("the order p", p, 1)
     if p > 5:
-        raise ValueError(f"for p >= 6 no linear multiplier 1 - eta z exists, got p = {p}")
+        raise ValueError(
+            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got p = {p}"
+        )
     return _smallest_eta(p)
 
 
@@ -166,7 +168,10 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     array([ 0.7071, -0.7071])
     """
     d, m = _coefficients(delta, mu)
-    negative = "Re(delta/mu) is negative on part of the unit circle, so that no G exists"
+    negative = (
+        "delta and mu must have Re(delta/mu) >= 0, but Re(delta/mu) is negative on part of the unit "
+        "circle, so that no G exists"
+    )
     tiny = _ZERO * np.abs(d).sum() * np.abs(m).sum()
     F = circle_polynomial(d, m).trim(tiny)
     if np.abs(F.coef).max() <= tiny:
@@ -272,6 +277,6 @@ def _coefficients(delta: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     d, m = finite_array("delta", delta, ("n",)), finite_array("mu", mu, ("n",))
     for name, c in (("delta", d), ("mu", m)):
         if len(c) == 0:
-            raise ValueError(f"{name} must hold at least one coefficient")
+            raise ValueError(f"{name} must hold at least one coefficient, got none")
     n = max(len(d), len(m))
     return np.pad(d, (0, n - len(d))), np.pad(m, (0, n - len(m)))
