@@ -7,7 +7,7 @@ STAMP  := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv book test full check-book lint format clean
+.PHONY: help venv book test full fuzz check-book lint format clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -33,6 +33,9 @@ test: $(STAMP) ## solver, doctests and all notebooks
 
 full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
+
+fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
+	$(BIN)/python tests/fuzz.py
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages

@@ -642,7 +642,7 @@ def _rule(degree: int, exactness: int | None) -> TriangleRule:
     if least > rule.exactness:
         raise ValueError(
             f"exactness must be {least} or more for elements of degree {degree}, got {exactness}: "
-            f"{len(rule.weights)} points do not tell their {(degree + 1) * (degree + 2) // 2} basis "
+            f"{len(rule.weights)} points do not tell {(degree + 1) * (degree + 2) // 2} basis "
             "functions apart, and the mass matrix is singular"
         )
     return rule

@@ -54,7 +54,7 @@ class Exact(_Functions):
 
     __slots__ = ()
 
-    def __new__(
+    def __new__(  # noqa: D102 - documented by the class
         cls,
         x: Callable[[Array, float], Array],
         v: Callable[[Array, float], Array],

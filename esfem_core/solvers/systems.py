@@ -91,6 +91,6 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
         share = found / allowed if found else 0.0
     if not share <= RESIDUAL:
         raise np.linalg.LinAlgError(
-            f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A must "
-            "be symmetric and positive definite, but is singular, indefinite or not symmetric"
+            f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A "
+            "must be symmetric and positive definite, but is singular, indefinite or not symmetric"
         )

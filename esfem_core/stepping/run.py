@@ -321,7 +321,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
     n_steps = count_steps(0.0, step, end) - (order - 1)
     if n_steps < 0:
         raise ValueError(
-            f"end must be at least (p - 1) step = {(order - 1) * step:g} for p = {order}, "
+            f"end must be at least (p - 1) step = {(order - 1) * step:g} for order p = {order}, "
             f"got {end!r}"
         )
     return n_steps

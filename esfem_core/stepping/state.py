@@ -204,10 +204,10 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
-    >>> check_state(space, State(0.0, space.nodes, None, space.nodes[:5, 0]))
+    >>> check_state(space, State(0.0, space.nodes[:5], None, space.nodes[:5, 0]))
     Traceback (most recent call last):
         ...
-    ValueError: state.u must have shape (6,) or (6, m), got (5,)
+    ValueError: state.x must have shape (6, 3), got (5, 3)
     """
     object_of("space", space, SurfaceSpace)
     object_of(name, state, State)

@@ -59,7 +59,8 @@ def smallest_eta(p: int) -> float:
     p = whole_number("the order p", p, 1)
     if p > 5:
         raise ValueError(
-            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got p = {p}"
+            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got p = "
+            f"{p}"
         )
     return _smallest_eta(p)
 
@@ -169,8 +170,8 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     """
     d, m = _coefficients(delta, mu)
     negative = (
-        "delta and mu must have Re(delta/mu) >= 0, but Re(delta/mu) is negative on part of the unit "
-        "circle, so that no G exists"
+        "delta and mu must have Re(delta/mu) >= 0, but Re(delta/mu) is negative on part of the "
+        "unit circle, so that no G exists"
     )
     tiny = _ZERO * np.abs(d).sum() * np.abs(m).sum()
     F = circle_polynomial(d, m).trim(tiny)

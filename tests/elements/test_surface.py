@@ -354,7 +354,11 @@ FLAT = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2)  # (T, Q) = (32, 6), N = 6
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"space": ec.sphere("octahedron", 1)}, TypeError, "space must be a SurfaceSpace, got <trimesh"),
+        (
+            {"space": ec.sphere("octahedron", 1)},
+            TypeError,
+            "space must be a SurfaceSpace, got <tri",
+        ),
         ({"x": FLAT.nodes[1:]}, ValueError, r"x must have shape \(66, 3\), got \(65, 3\)"),
         ({"x": 1j * FLAT.nodes}, TypeError, "x must hold real numbers, got complex128"),
         ({"fields": np.zeros(5)}, ValueError, r"u must have shape \(66, \.\.\.\), got \(5,\)"),

@@ -202,16 +202,6 @@ def test_functions_that_are_not_there_are_named():
             r"start\[0\]\.x must be finite, but .* is inf",
         ),
         (
-            ec.State(0.0, X, X[:5]),
-            ValueError,
-            r"start\[0\]\.v must have shape \(66, 3\), got \(5, 3\)",
-        ),
-        (
-            ec.State(0.0, X, u=X[:5]),
-            ValueError,
-            r"start\[0\]\.u must have shape \(66,\) or \(66, m\), got \(5, 3\)",
-        ),
-        (
             ec.State(0.0, X, fields={"w": np.zeros((N, 2, 2))}),
             ValueError,
             r"start\[0\]\['w'\] must have shape \(66,\) or \(66, m\), got \(66, 2, 2\)",
@@ -244,3 +234,10 @@ def test_a_changed_state_has_no_products_of_the_old_one():
     doubled = dataclasses.replace(last, fields={"u": 2 * last.u})
     assert (dict(doubled.products), doubled.method) == ({}, None)
     assert doubled.space is space
+
+
+def test_arrays_of_a_state_have_one_row_for_each_node():
+    with pytest.raises(ValueError, match=r"^v must have shape \(66, 3\), got \(5, 3\)"):
+        ec.State(0.0, X, X[:5])
+    with pytest.raises(ValueError, match=r"^u must have shape \(66, \.\.\.\), got \(5, 3\)"):
+        ec.State(0.0, X, u=X[:5])

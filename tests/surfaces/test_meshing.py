@@ -117,7 +117,7 @@ REFUSED = {
     "h tiny": ((unit_sphere, BOX, 1e-4), r"h must be larger for this box: with h = 0\.0001"),
     "h and the hole": (
         (lambda x: torus(x, r=0.9), [[-2.1, -2.1, -1.2], [2.1, 2.1, 1.2]], 0.9),
-        "h must be smaller for this surface, got 0.9, which is too large: on a grid of spacing .* Euler number 2 and 1 comp",
+        "got 0.9, which is too large: on a grid of spacing .* Euler number 2 and 1 comp",
     ),
     "h and the curvature": (
         (two_rings, BOXES[two_rings], 0.4),
