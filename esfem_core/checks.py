@@ -284,7 +284,8 @@ def items(name: str, values: object, kind: type[Kind], least: int = 1) -> list[K
     each = iterable(name, values, plural)
     found = [object_of(f"{name}[{i}]", value, kind) for i, value in enumerate(each)]
     if len(found) < least:
-        raise ValueError(f"{name} must hold {least} {plural} or more, got {len(found)}")
+        fewest = "one" if least == 1 else str(least)
+        raise ValueError(f"{name} must hold at least {fewest} of {plural}, got {len(found)}")
     return found
 
 

@@ -290,7 +290,10 @@ def may(argument: Argument, value: Any) -> bool:
 def same(one: Any, other: Any) -> bool:
     """Whether two results are equal to the last bit, as far as they hold numbers."""
     if isinstance(one, np.ndarray | np.generic | float | int):
-        return bool(np.array_equal(np.asarray(one), np.asarray(other), equal_nan=True))
+        first, second = np.asarray(one), np.asarray(other)
+        if first.dtype.kind not in "fiu":
+            return first.shape == second.shape and bool((first == second).all())
+        return bool(np.array_equal(first, second, equal_nan=True))
     if isinstance(one, ec.State):
         return same(
             [one.t, one.x, *one.fields.values()], [other.t, other.x, *other.fields.values()]

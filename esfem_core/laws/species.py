@@ -239,9 +239,7 @@ def check_initial(name: str, value: object) -> None:
     if value is None or callable(value):
         return
     if isinstance(value, np.ndarray | list | tuple) and np.size(value):
-        values = finite_array(name, value, ("...",))
-        if values.ndim > 2:
-            raise ValueError(f"{name} must have shape (N,) or (N, m), got {values.shape}")
+        finite_array(name, value, ("...",))
         return
     try:
         number(name, value)

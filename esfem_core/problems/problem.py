@@ -244,7 +244,7 @@ class Problem:
         else:
             law = Regularised(1.0 if alpha is None else alpha, 1.0 if beta is None else beta, g)
         if exact is not None and not isinstance(exact, Exact):
-            raise TypeError(f"exact must be an Exact(x, v, u, ...) or None, got {shown(exact)}")
+            raise TypeError(f"exact must be an Exact(x, v, u, ...), got {shown(exact)}")
         _check_names(species, law)
         object.__setattr__(self, "species", MappingProxyType(dict(species)))
         object.__setattr__(self, "law", law)
@@ -279,7 +279,7 @@ def _refuse(reason: str, **given: object) -> None:
     """Nothing may be given in two ways."""
     for name, value in given.items():
         if value is not None:
-            raise ValueError(f"{name} must not be given here, but is: {reason}")
+            raise ValueError(f"{name} must not be given here: {reason}")
 
 
 def _function(name: str, value: object) -> None:
@@ -292,9 +292,11 @@ def _check_names(species: Mapping[str, Species], law: Law) -> None:
         raise TypeError(
             f"law must have a method velocity, see esfem_core.laws.Law; got {shown(law)}"
         )
-    for name, one in mapping("species", species, "Species").items():
-        if name in RESERVED:
-            raise ValueError(f"species must have names other than x and v, got {name!r}")
+    if not isinstance(species, Mapping):
+        raise TypeError(f"species must be a mapping from names to Species, got {shown(species)}")
+    for name, one in species.items():
+        if not isinstance(name, str) or name in RESERVED:
+            raise ValueError(f"a species must have a name other than x and v, got {name!r}")
         if not isinstance(one, Species):
             raise TypeError(f"species[{name!r}] must be a Species, got {shown(one)}")
         if name in getattr(law, "species", {}):

@@ -200,14 +200,13 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
         if alpha == 0:
             if square <= 0:
                 raise ValueError(
-                    f"t must be before the sphere vanishes at t = {1 / (4 * beta)}, got {t}"
+                    f"t must be earlier: the sphere vanishes at t = {1 / (4 * beta)}, asked for "
+                    f"t = {t}"
                 )
             return float(np.sqrt(square))
         # y + ln(y) = w with y = r^2/(2 alpha): y is Lambert's function of e^w, which overflows.
         w = square / (2 * alpha) - np.log(2 * alpha)
         y = float(lambertw(np.exp(w)).real) if w < 700 else _lambert_of_exponential(w)
-        if not 0 < y < np.inf:
-            raise ValueError(f"t must be nearer to 0: the radius is out of range there, got {t}")
         return float(np.sqrt(2 * alpha * y))
 
     def speed(r: float) -> float:
@@ -285,6 +284,13 @@ def _sphere_problem(
     g: Callable[[Surface], Array] | None = None,
 ) -> Problem:
     """A sphere of radius r(t), r' = speed(r), with u = u0/r^2 constant on it."""
+
+    def u(x: Array, t: float) -> Array:
+        r = radius(t)
+        if not 0 < r * r < np.inf:
+            raise ValueError(f"t must be nearer to 0: there u = u0/r^2 is out of range, got {t}")
+        return np.full(x.shape[:-1], u0 / r**2)
+
     return Problem(
         u0=lambda x: np.full(len(x), float(u0)),
         g=g,
@@ -293,7 +299,7 @@ def _sphere_problem(
         exact=_exact_sphere(
             radius,
             lambda t: speed(radius(t)),
-            lambda x, t: np.full(x.shape[:-1], u0 / radius(t) ** 2),
+            u,
         ),
     )
 

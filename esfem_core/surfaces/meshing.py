@@ -152,8 +152,8 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float, gradient: Field) ->
     if found != finer:
         raise ValueError(
             f"h must be smaller for this surface, got {h:g}, which is too large: on a grid of "
-            f"spacing {2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the spacing "
-            f"{_in_words(finer)}"
+            f"spacing {2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the "
+            f"spacing {_in_words(finer)}"
         )
     return x, faces
 
@@ -190,7 +190,8 @@ def _check_signs(values: Array, axes: list[Array], d: Field, gradient: Field) ->
         return
     if count == values.size - np.prod(np.array(values.shape) - 2):
         raise ValueError(
-            "d must be positive outside of the surface, but d is negative on the boundary of the box"
+            "d must be positive outside, but d is negative on the boundary of the box: outside it must "
+            "be positive"
         )
     index = np.argwhere(inside)[0]
     point = [round(float(a[i]), 6) for a, i in zip(axes, index, strict=True)]
@@ -330,7 +331,8 @@ def _check_curvature(x: Array, faces: Ints, d: Field, gradient: Field, h: float)
             )
         raise ValueError(
             f"h must be smaller for this surface, got {h:g}, which is too large: near "
-            f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.0f} degrees within a triangle (allowed: 60)"
+            f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.0f} degrees within a "
+            "triangle (allowed: 60)"
         )
 
 

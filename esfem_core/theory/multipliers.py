@@ -59,8 +59,8 @@ def smallest_eta(p: int) -> float:
     p = whole_number("the order p", p, 1)
     if p > 5:
         raise ValueError(
-            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got p = "
-            f"{p}"
+            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got "
+            f"p = {p}"
         )
     return _smallest_eta(p)
 
