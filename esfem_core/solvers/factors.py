@@ -37,6 +37,8 @@ class _Reordered:
 
     def solve(self, b: Array) -> Array:
         b = right_hand_side(len(self._order), b)
+        if b.size == 0:  # CHOLMOD would end the interpreter
+            return np.zeros(b.shape)
         return self._solve(b.take(self._order, axis=0)).take(self._position, axis=0)
 
     def __repr__(self) -> str:
@@ -129,13 +131,20 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
         If `A` is not in CSR format.
     ValueError
         If `A` is not square, or `order` is no order of its unknowns.
+    numpy.linalg.LinAlgError
+        If `A` is not positive definite.
     """
     from cholespy import CholeskySolverD, MatrixType
 
     new_order = _elimination_order(A, order)
     entries = A[new_order][:, new_order].tocoo()
     row, column = entries.row.astype(np.int32), entries.col.astype(np.int32)
-    solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+    try:
+        solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+    except (RuntimeError, ValueError) as error:
+        raise np.linalg.LinAlgError(
+            f"the matrix of a linear system must be positive definite, but is not: {error}"
+        ) from error
 
     def solve(b: Array) -> Array:
         x = np.empty_like(b)

@@ -190,8 +190,8 @@ def _check_signs(values: Array, axes: list[Array], d: Field, gradient: Field) ->
         return
     if count == values.size - np.prod(np.array(values.shape) - 2):
         raise ValueError(
-            "d must be positive outside, but d is negative on the boundary of the box: outside it must "
-            "be positive"
+            "d must be positive outside, but d is negative on the boundary of the box: outside it "
+            "must be positive"
         )
     index = np.argwhere(inside)[0]
     point = [round(float(a[i]), 6) for a, i in zip(axes, index, strict=True)]
