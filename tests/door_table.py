@@ -108,7 +108,7 @@ def doors() -> list[Door]:
               "seed": whole(0, -1)}),
         Door("check_triangulation", ec.check_triangulation, {"tri": one(tri)}),
         Door("mesh_quality", ec.mesh_quality, {"tri": one(tri)}),
-        Door("repair", ec.repair,
+        Door("repair", lambda tri=tri, **o: ec.repair(tri, **{"report": None, **o}),
              {"tri": one(tri), "holes": whole(12, -1),
               "report": function(lambda text: None, optional=True)}),
         Door("read_mesh", lambda source, **o: ec.read_mesh(source, **{"report": None, **o}),

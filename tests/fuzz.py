@@ -150,7 +150,7 @@ def main() -> None:
     while counts.total() < given_arguments.cases:
         more, texts = run(2000, given_arguments.seed + part)
         counts, strange, part = counts + more, strange + texts, part + 1
-        print(f"{counts.total()} cases, {len(strange)} neither right nor refused", flush=True)
+        print(*texts, f"{counts.total()} cases, {len(strange)} strange", sep="\n", flush=True)
     kinds = ("right", "refused", "else")
     rows = [
         [name, sum(counts[name, k] for k in kinds), *(counts[name, k] for k in kinds)]
@@ -161,8 +161,6 @@ def main() -> None:
         csv.writer(file, lineterminator="\n").writerows([HEAD, *rows, totals])
     for row in [*rows, totals]:
         print(f"{row[0]:30} {row[1]:7} {row[2]:7} {row[3]:7} {row[4]:7}")
-    for text in sorted(set(strange)):
-        print(text)
     sys.exit(bool(strange))
 
 

@@ -1,7 +1,6 @@
 """Small inputs that once gave a wrong answer, no answer or advice that could not help."""
 
 import itertools
-import re
 import threading
 import warnings
 
@@ -71,15 +70,15 @@ def test_a_sphere_that_shrinks_to_a_point_stops_the_run(order, step):
     """Volumes stay positive until then; a point reflection leaves all normals as they are."""
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
     run = ec.evolve(space, ec.Problem(1.0, alpha=0.01, beta=1), order, step, 0.6, start="euler")
-    volumes = []
-    with warnings.catch_warnings(), pytest.raises(ec.EvolutionError):
+    states = []
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for state in run:
-            volumes.append(ec.measure(state).volume)
-    assert min(volumes) > 0
+        with pytest.raises(ec.EvolutionError):
+            states.extend(run)
+    assert min(ec.measure(state).volume for state in states) > 0
 
 
-def test_a_neck_that_pinches_stops_the_run():
+def test_a_neck_that_pinches_is_told_before_the_run_stops():
     def dumbbell(x):
         balls = [np.linalg.norm(x - [c, 0, 0], axis=1) - 1 for c in (-1.5, 1.5)]
         bulge = 50 * np.maximum(np.abs(x[:, 0]) - 1.5, 0) ** 3
@@ -89,29 +88,24 @@ def test_a_neck_that_pinches_stops_the_run():
     tri = ec.from_level_set(dumbbell, [[-2.8, -1.3, -1.3], [2.8, 1.3, 1.3]], 0.25)
     space = ec.SurfaceSpace(tri)
     run = ec.evolve(space, ec.Problem(1.0, alpha=0), 1, 0.01, 0.3, start="euler")
-    last = None
-    with warnings.catch_warnings(), pytest.raises(ec.EvolutionError):
-        warnings.simplefilter("ignore")
-        for state in run:
-            last = state
-    assert last is not None
-    middle = np.abs(last.x[:, 0]) < 0.2
-    normals = trimesh.Trimesh(last.x, tri.faces, process=False).vertex_normals[middle]
-    assert (normals * (last.x[middle] - last.x[middle].mean(axis=0)))[:, 1:].sum() > 0
+    with (
+        pytest.warns(ec.EvolutionWarning, match="has an angle below one degree"),
+        pytest.raises(ec.EvolutionError),
+    ):
+        list(run)
 
 
-def test_long_triangles_of_programs_for_design_do_not_make_a_dense_front():
-    tri = trimesh.creation.annulus(0.5, 1, 0.2, sections=600)
+def test_meshes_of_hubs_and_long_triangles_are_factorised_in_another_order():
+    """Plane cuts make one dense front of such a mesh; SuperLU's own order does not."""
+    tri = trimesh.creation.cylinder(1, 2, sections=1200)
     space = ec.SurfaceSpace(tri)
-    M, A = space.mass_stiffness(space.nodes)
-    factor = solvers.factorise((10 * M + A).tocsr(), space.fronts)
-    b = M @ space.nodes[:, 0]
-    x = ec.LaggedSolver(factorise=lambda _: factor).solve((10 * M + A).tocsr(), b, 0 * b)
-    np.testing.assert_allclose((10 * M + A) @ x, b, atol=1e-10 * np.abs(b).max())
-    # Counted, not timed: a whole ring of 600 in one front would be a hundred times that.
-    per_node = re.search(r"entries of a factor per node=([\d.]+)", repr(space.fronts))
-    assert per_node is not None
-    assert float(per_node[1]) < 400
+    assert space.fronts.largest > 2000
+    problem = ec.Problem(1.0, motion=lambda p, t: p)
+    for solver in ("lagged", "direct"):
+        statistics = ec.Statistics()
+        run = ec.evolve(space, problem, 1, 0.1, 0.1, solver=solver, statistics=statistics)
+        np.testing.assert_allclose(list(run)[-1].u, 1.0, rtol=1e-9)
+        assert "superlu" in repr(statistics) or "SuperLU" in repr(statistics)
 
 
 def test_html_of_names_and_cells_is_escaped():
@@ -216,7 +210,7 @@ def test_exact_solutions_of_another_surface_or_motion_are_refused():
     with pytest.raises(ValueError, match="exact must belong to this surface, but the node"):
         ec.evolve(torus, ec.problems.growing_sphere(), 1, 0.1, 0.2)
     still = ec.Exact(lambda p, t: p, lambda p, t: 0 * p)
-    with pytest.raises(ValueError, match="exact must belong to the motion, but at t = 0.1"):
+    with pytest.raises(ValueError, match=r"exact must belong to the motion, but at t = 0\.1"):
         ec.evolve(space, ec.Problem(1.0, motion=lambda p, t: (1 + t) * p, exact=still), 1, 0.1, 0.2)
 
 

@@ -37,6 +37,8 @@ __all__ = ["MASSES", "evolve"]
 
 SolverName = Literal["lagged", "cholmod", "direct"]
 StartName = Literal["exact", "euler"]
+LARGE_FRONT = 8  # rows of the largest front over the root of the number of nodes; spheres have 3
+FEW = 2000  # nodes: below, no front is large
 MASSES: tuple[Mass, ...] = get_args(Mass)
 
 
@@ -108,7 +110,8 @@ def evolve(
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
         "lagged": conjugate gradients to a relative residual of 1e-11, preconditioned with a
-        factorisation by :mod:`esfem_core.solvers.multifrontal` that is kept for many steps.
+        factorisation by :mod:`esfem_core.solvers.multifrontal` that is kept for many steps (by
+        SuperLU on meshes of long triangles or hubs, where a front would be large).
         "cholmod": the same with the factorisation of CHOLMOD (extra ``fast``). "direct": a sparse
         factorisation in every step. Otherwise a function without arguments that makes a
         :class:`esfem_core.solvers.factors.Solver`, called for each kind of system, such as
@@ -365,9 +368,13 @@ def _solver_factory(
         )
     if solver == "cholmod" and find_spec("cholespy") is None:
         raise ImportError('solver="cholmod" needs the package cholespy: the extra "fast"')
+    # Plane cuts serve meshes of long triangles and of hubs badly, as programs for design make them.
+    cut_well = space.fronts.largest <= LARGE_FRONT * max(len(space.nodes), FEW) ** 0.5
     if solver == "lagged":
+        if not cut_well:
+            return partial(LaggedSolver, factorise=superlu)
         return partial(LaggedSolver, factorise=partial(factorise, fronts=space.fronts))
-    order = space.elimination_order
+    order = space.elimination_order if cut_well else None
     if solver == "cholmod":
         return partial(LaggedSolver, factorise=partial(cholmod, order=order))
     return partial(DirectSolver, partial(superlu, order=order))
