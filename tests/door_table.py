@@ -136,7 +136,7 @@ def doors() -> list[Door]:
              lambda d=_norm, gradient=None, x=points:
              ec.exact_surfaces.LevelSet(d, gradient).near(x),
              {"d": returning(_norm), "gradient": returning(lambda x: x, optional=True),
-              "x": array(points, before=True, rows=True)}),
+              "x": array(points, before=True, rows=True, called=("points", "d"))}),
         # elements
         Door("SurfaceSpace", ec.SurfaceSpace,
              {"tri": one(tri), "degree": whole(2, *DEGREES),
@@ -335,7 +335,7 @@ def doors() -> list[Door]:
              lambda space=rough, problem=problem, order=1, steps=(0.5,), end=0.5, **o:
              time_study(space, problem, order, steps, end, **o),
              {"space": one(rough), "problem": one(problem), "order": whole(1, 0, 7),
-              "steps": array([0.5], [0.0], []), "end": number(0.5, -1),
+              "steps": array([0.5], [0.0], [], called=("step",)), "end": number(0.5, -1),
               "reference": one(last, optional=True), "measure": function(ec.errors.compare),
               "fine": Argument(None, "listed", [1, "a", [], [None], {}, [1, 2]])}),
         Door("space_study",
@@ -351,9 +351,9 @@ def doors() -> list[Door]:
         Door("gammas", ec.multipliers.gammas,
              {"p": whole(3, 0, 6, *HUGE), "eta": number(0.5, 1, 2, -1, 0.0)}),
         Door("g_matrix_of", ec.multipliers.g_matrix_of,
-             {"delta": array([1.5, -2.0, 0.5], []), "mu": array([1.0], [])}),
+             {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
         Door("gammas_of", ec.multipliers.gammas_of,
-             {"delta": array([1.5, -2.0, 0.5], []), "mu": array([1.0], [])}),
+             {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
         Door("bdf_kernel", ec.peano.bdf_kernel,
              {"p": whole(2, 0, *HUGE), "degree": whole(1, 0, 3, optional=True)}),
         Door("extrapolation_kernel", ec.peano.extrapolation_kernel,

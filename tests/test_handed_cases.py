@@ -253,3 +253,9 @@ def test_negative_squares_are_not_cut():
         ec.errors.seminorm(-M, space.nodes)
     with pytest.raises(ValueError, match="K must be positive semidefinite, but has the square"):
         ec.defects.dual_norm(-M, space.nodes)
+
+
+def test_an_end_before_the_first_step_is_refused():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    with pytest.raises(ValueError, match="end/step must be an integer"):
+        ec.evolve(space, ec.problems.growing_sphere(), 1, 1e16, 0.5)

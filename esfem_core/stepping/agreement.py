@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from esfem_core.checks import Array, finite_array
-from esfem_core.elements import SurfaceSpace, nodal_average
+from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
@@ -29,7 +29,10 @@ def check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -
     try:
         x = position(space.nodes, 0.0, (0.0, space.nodes))
     except FloatingPointError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(
+            f"motion must start on the surface, X(p, 0) = p, but {error}; a velocity "
+            "goes into laws.Prescribed(velocity=v)"
+        ) from error
     node, distance = _farthest(space, x)
     if not distance <= AT_START:
         raise ValueError(
@@ -86,7 +89,7 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
             )
 
 
-def check_slip(law: object, first: State) -> None:
+def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
     """Look at the slip of a law on the surface that a run starts from.
 
     Raises
@@ -101,7 +104,7 @@ def check_slip(law: object, first: State) -> None:
     """
     if not hasattr(law, "slip"):
         return
-    at = first.surface()
+    at = Surface(space, first.x, first.fields, first.t)
     w = law.slip(at)
     if w is None:
         return

@@ -196,7 +196,7 @@ def evolve(
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
     if isinstance(given, str) and problem.exact is not None:
         check_exact(space, problem, step)
-    check_slip(problem.law, first)
+    check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     return states if file is None else saving(states, file, every, order)

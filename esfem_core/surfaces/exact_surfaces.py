@@ -258,8 +258,9 @@ class LevelSet(ExactSurface):
         checked_gradient(self.d, self.gradient)
 
     def near(self, x: Array) -> Near:  # noqa: D102
-        shape = np.shape(finite_array("x", x, ("...", 3)))
-        x = np.reshape(x, (-1, 3))
+        x = finite_array("x", x, ("...", 3))
+        shape = x.shape
+        x = x.reshape(-1, 3)
         points = project_to_level_set(self.d, self.gradient)(x)
         gradient = checked_gradient(self.d, self.gradient)(points)
         size = np.linalg.norm(gradient, axis=-1, keepdims=True)

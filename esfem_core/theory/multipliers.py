@@ -238,8 +238,8 @@ def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     lowest = np.linalg.eigvalsh(G).min(initial=np.inf)
     if lowest <= _ZERO * np.trace(G):
         raise ValueError(
-            f"G is not positive definite (lowest eigenvalue {lowest:.1e}): delta and mu have a "
-            "common divisor, or mu has a zero in the unit disc"
+            "delta and mu must have no common divisor and mu no zero in the unit disc, but G is "
+            f"not positive definite (lowest eigenvalue {lowest:.1e})"
         )
     return G
 
