@@ -202,13 +202,16 @@ def _check_signs(values: Array, axes: list[Array], d: Field, gradient: Field) ->
 
 
 def _zero_near(d: Field, gradient: Field, start: Array, axes: list[Array]) -> Array | None:
-    """A point in the box where d is zero, found by Newton's method from one point."""
+    """A point in the box where d changes its sign, found by Newton's method from one point."""
     try:
         [point] = descend(d, gradient, start)
     except ValueError:
         return None
     inside = all(a[0] <= c <= a[-1] for a, c in zip(axes, point, strict=True))
-    return np.asarray(point) if inside else None
+    slope = checked_values(gradient, point[None], (3,), "gradient")
+    step = 1e-4 * (axes[0][1] - axes[0][0]) * slope / (np.linalg.norm(slope) or 1.0)
+    before, after = checked_values(d, point + np.vstack([-step, step]), (), "d")
+    return np.asarray(point) if inside and before < 0 < after else None  # not a double zero
 
 
 def _larger_box(d: Field, axes: list[Array]) -> str:

@@ -139,7 +139,7 @@ REFUSED = {
         "its gradient vanishes on the surface",
     ),
     "zero gradient": ((unit_sphere, BOX, 0.2, lambda x: 0 * x), "gradient of d must not vanish"),
-    "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "turns by .* degrees"),
+    "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "the surface has a crease there"),
 }
 
 
@@ -152,7 +152,7 @@ def test_a_surface_that_is_not_in_the_box_or_not_resolved_is_refused(case):
 
 def test_what_cannot_be_reached_is_said():
     """Six vertices cannot have edges of length three on the unit sphere."""
-    with pytest.raises(ec.MeshingError, match=r"after 40 rounds .* with edges of 1\.4"):
+    with pytest.raises(ec.MeshingError, match=r"got 3: a closed mesh of it has edges of 1\.4"):
         ec.from_level_set(unit_sphere, BOX, 3.0)
 
 

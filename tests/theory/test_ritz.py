@@ -59,7 +59,7 @@ def test_spaces_that_do_not_belong_together_are_refused():
     linear, quadratic = ec.SurfaceSpace(TRI), ec.SurfaceSpace(TRI, 2)
     with pytest.raises(ValueError, match="fine must have degree 2 or more, but has 1"):
         prolongation(quadratic, linear)
-    with pytest.raises(ValueError, match="one triangulation"):
+    with pytest.raises(ValueError, match="fine must be on the triangulation of space"):
         prolongation(linear, ec.SurfaceSpace(ec.sphere("octahedron", 1), 2))
 
 
