@@ -102,12 +102,13 @@ def oscillating_ellipsoid(
         result: Array = material + phi(t) * x1 * x2 * divergence - laplacian
         return result
 
+    at_position = at_points(position)
     return Problem(
         u0=lambda x: exact_u(x, 0.0),
         f=f,
-        motion=position,
+        motion=at_position,
         exact=Exact(
-            at_points(position),
+            at_position,
             at_points(velocity),
             at_points(exact_u),
             at_points(lambda x, t: _closest_on_spheroid(x, a(t))),
