@@ -8,7 +8,7 @@ LITE   := .venv/lite
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv wheel book lite test full check-book check-lite lint format clean \
+.PHONY: help venv wheel book lite test full fuzz check-book check-lite lint format clean \
         test-oldest test-newest compare-builds
 
 help: ## this list
@@ -51,6 +51,9 @@ test: $(STAMP) ## solver, doctests and all notebooks
 
 full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
+
+fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
+	$(BIN)/python tests/fuzz.py
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages

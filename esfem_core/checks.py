@@ -6,7 +6,7 @@ code behind it relies on. Its message says the name, what is allowed and what wa
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -20,19 +20,27 @@ __all__ = [
     "Ints",
     "finite_array",
     "flag",
+    "function",
     "integer_array",
+    "items",
+    "iterable",
+    "mapping",
     "number",
+    "object_of",
     "one_of",
     "output_path",
     "real_array",
     "shown",
+    "string",
     "whole_number",
 ]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Option = TypeVar("Option", bound=str)
+Kind = TypeVar("Kind")
+
+LARGEST = 2**63 - 1  # integer: beyond, arrays cannot hold it
 
 
 def shown(value: object) -> str:
@@ -43,8 +51,12 @@ def shown(value: object) -> str:
     >>> shown(np.float64(0.5)), shown("x"), shown(np.zeros((2, 3)))
     ('0.5', "'x'", 'an array of shape (2, 3)')
     """
-    if isinstance(value, np.ndarray) and value.ndim > 0:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     text = str(value) if isinstance(value, np.generic) else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -86,7 +98,9 @@ def whole_number(name: str, value: object, least: int, most: int | None = None) 
         raise TypeError(f"{name} must be {allowed}, got {shown(value)}")
     if not -math.inf < found < math.inf or found != int(found):
         raise ValueError(f"{name} must be {allowed}, got {shown(value)}")
-    if found < least or (most is not None and found > most):
+    if found < least or found > (LARGEST if most is None else most):
+        if most is None and found > LARGEST:
+            allowed += f" and <= {LARGEST}"
         raise ValueError(f"{name} must be {allowed}, got {shown(value)}")
     return int(found)
 
@@ -139,14 +153,14 @@ def number(
     if found is None:
         raise TypeError(text)
     if (
-        not -math.inf < found < math.inf
+        not -math.inf < _as_float(found) < math.inf
         or (above is not None and found <= above)
         or (least is not None and found < least)
         or (below is not None and found >= below)
         or (most is not None and found > most)
     ):
         raise ValueError(text)
-    return float(found)
+    return _as_float(found)
 
 
 def _real(value: object) -> int | float | None:
@@ -158,7 +172,7 @@ def _real(value: object) -> int | float | None:
     try:
         return int(value) if isinstance(value, Integral) else float(value)
     except OverflowError:
-        return math.inf
+        return math.inf  # larger than any float
 
 
 def one_of(name: str, value: object, options: Any) -> str:
@@ -179,19 +193,115 @@ def one_of(name: str, value: object, options: Any) -> str:
     return value
 
 
-def flag(name: str, value: object) -> bool:
-    """True or False, of Python or NumPy.
+def object_of(name: str, value: object, kind: type[Kind], advice: str = "") -> Kind:
+    """An object of a class.
 
     Examples
     --------
-    >>> flag("boundary", 2)
+    >>> object_of("path", 3, Path, "Path(text) makes one")
     Traceback (most recent call last):
         ...
-    TypeError: boundary must be True or False, got 2
+    TypeError: path must be a Path, got 3; Path(text) makes one
+    """
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        advice = advice and f"; {advice}"
+        raise TypeError(f"{name} must be {article} {kind.__name__}, got {shown(value)}{advice}")
+    return value
+
+
+def function(name: str, value: object, of: str) -> Callable[..., Any]:
+    """A function.
+
+    Examples
+    --------
+    >>> function("project", 5, "of points (n, 3)")
+    Traceback (most recent call last):
+        ...
+    TypeError: project must be a function of points (n, 3), got 5
+    """
+    if not callable(value):
+        raise TypeError(f"{name} must be a function {of}, got {shown(value)}")
+    return value
+
+
+def flag(name: str, value: object) -> bool:
+    """True or False.
+
+    Examples
+    --------
+    >>> flag("conserved", "no")
+    Traceback (most recent call last):
+        ...
+    TypeError: conserved must be True or False, got 'no'
     """
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
+
+
+def string(name: str, value: object) -> str:
+    """A string.
+
+    Examples
+    --------
+    >>> string("title", None)
+    Traceback (most recent call last):
+        ...
+    TypeError: title must be a string, got None
+    """
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be a string, got {shown(value)}")
+    return value
+
+
+def mapping(name: str, value: object, to: str) -> Mapping[str, Any]:
+    """A mapping from names.
+
+    Examples
+    --------
+    >>> mapping("fields", {1: 2}, "nodal values")
+    Traceback (most recent call last):
+        ...
+    TypeError: fields must be a mapping from names to nodal values, got {1: 2}
+    """
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise TypeError(f"{name} must be a mapping from names to {to}, got {shown(value)}")
+    return value
+
+
+def items(name: str, values: object, kind: type[Kind], least: int = 1) -> list[Kind]:
+    """Objects of one class, as a list.
+
+    Examples
+    --------
+    >>> items("paths", [Path("a"), None], Path)
+    Traceback (most recent call last):
+        ...
+    TypeError: paths[1] must be a Path, got None
+    """
+    plural = f"{kind.__name__}s"
+    each = iterable(name, values, plural)
+    found = [object_of(f"{name}[{i}]", value, kind) for i, value in enumerate(each)]
+    if len(found) < least:
+        fewest = "one" if least == 1 else str(least)
+        raise ValueError(f"{name} must hold at least {fewest} of {plural}, got {len(found)}")
+    return found
+
+
+def iterable(name: str, values: object, of: str) -> Iterable[Any]:
+    """Something to go through, whose members are looked at as they come.
+
+    Examples
+    --------
+    >>> iterable("states", 3, "States")
+    Traceback (most recent call last):
+        ...
+    TypeError: states must be a sequence of States, got 3
+    """
+    if isinstance(values, str | bytes | Mapping | type) or not isinstance(values, Iterable):
+        raise TypeError(f"{name} must be a sequence of {of}, got {shown(values)}")
+    return values
 
 
 def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
@@ -228,6 +338,8 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
         raise TypeError(f"{name} must be the path of a file, got {shown(path)}")
     file = Path(path)
+    if "\0" in str(file):
+        raise ValueError(f"{name} must be the path of a file, got {str(file)!r}")
     if file.suffix.lower() not in suffixes:
         allowed = " or ".join(f'"{suffix}"' for suffix in suffixes)
         raise ValueError(f"{name} must end with {allowed}, got {str(file)!r}")
@@ -235,7 +347,8 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         raise ValueError(f"{name} must be a file, but {str(file)!r} is a directory")
     if not file.parent.is_dir():
         raise FileNotFoundError(
-            f"{name}: the directory {str(file.parent)!r} does not exist; make it first"
+            f"{name} must be in a directory that is there, but the directory {str(file.parent)!r} "
+            "does not exist; make it first"
         )
     return file
 
@@ -272,10 +385,18 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
         ...
     ValueError: x must have shape (N, 3), got (2,)
     """
+    if np.ma.isMaskedArray(values):
+        raise TypeError(f"{name} must hold real numbers, got a masked array: its holes have none")
     try:
         array = np.asarray(values)
     except ValueError as error:  # rows of different lengths
-        raise ValueError(f"{name} must have shape {_text(shape)}: {error}") from None
+        raise ValueError(
+            f"{name} must have shape {_text(shape)}, but its rows have none: {error}"
+        ) from None
+    if array.dtype.kind == "O" and array.size:  # numbers of other libraries, such as fractions
+        found = [_real(value) for value in array.flat]
+        if None not in found:
+            array = np.array([_as_float(v) for v in found]).reshape(array.shape)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, got {array.dtype} ({shown(values)})")
     if not _fits(array.shape, shape):
@@ -319,6 +440,14 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
     if wrong.any():
         raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")
     return integers
+
+
+def _as_float(value: object) -> float:
+    found = _real(value)
+    try:
+        return math.nan if found is None else float(found)
+    except OverflowError:
+        return math.inf
 
 
 def _first(name: str, array: Array, bad: Bools) -> str:

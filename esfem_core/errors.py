@@ -5,14 +5,27 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.checks import Array, finite_array, function, iterable, object_of, real_array, shown
 from esfem_core.elements import SurfaceSpace, squared_differences
 from esfem_core.problems import Problem
 from esfem_core.stepping import State, check_state, exact_state
 
-__all__ = ["Errors", "Measure", "compare", "difference", "lifted", "seminorm", "time_norms"]
+__all__ = [
+    "Errors",
+    "Measure",
+    "compare",
+    "difference",
+    "lifted",
+    "root_of_form",
+    "seminorm",
+    "square_matrix",
+    "time_norms",
+]
+
+
+INDEFINITE = 1e-8  # negative squares below this, relative to their terms, are rounding
 
 
 class Errors(NamedTuple):
@@ -52,7 +65,8 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
     Raises
     ------
     ValueError
-        If `w` does not have one row for each of the matrix, or is not finite.
+        If the matrix is not square, `w` does not have one row for each of its own, something is
+        not finite, or w^T matrix w is negative beyond rounding.
 
     Examples
     --------
@@ -64,10 +78,54 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
     >>> print(f"{seminorm(A, space.nodes) ** 2 / (8 * np.pi):.4f}")
     1.0000
     """
+    matrix = square_matrix("matrix", matrix)
     w = finite_array("w", w, (matrix.shape[1], "..."))
     columns = w.reshape(len(w), -1)
-    # Rounding can bring a square that is zero below zero.
-    return float(np.sqrt(max(np.sum(columns * (matrix @ columns)), 0.0)))
+    size = float(np.sum(np.abs(columns) * (abs(matrix) @ np.abs(columns))))
+    return root_of_form("matrix", columns, matrix @ columns, size)
+
+
+def square_matrix(name: str, matrix: csr_array) -> csr_array:
+    """A sparse, square matrix of finite numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+    """
+    if not issparse(matrix):
+        raise TypeError(f"{name} must be a sparse matrix, got {shown(matrix)}")
+    if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise ValueError(f"{name} must be square, got shape {matrix.shape}")
+    finite_array(f"{name}.data", matrix.tocsr().data, ("n",))
+    return matrix
+
+
+def root_of_form(name: str, w: Array, image: Array, size: float = 0.0) -> float:
+    """(w . image)^{1/2}, where the image is that of w under a positive semidefinite matrix.
+
+    Rounding can bring a square that is zero below zero; what is more negative, relative to the
+    terms of the square or to `size`, is refused.
+
+    Raises
+    ------
+    ValueError
+
+    Examples
+    --------
+    >>> root_of_form("matrix", np.array([3.0, 4.0]), np.array([-3.0, 4.0]))
+    2.6457513110645907
+    >>> root_of_form("matrix", np.array([3.0, 4.0]), np.array([3.0, -4.0]))
+    Traceback (most recent call last):
+        ...
+    ValueError: matrix must be positive semidefinite, but has the square -7 for this vector
+    """
+    products = w * image
+    square = float(products.sum())
+    if not square >= -INDEFINITE * max(size, float(np.abs(products).sum())):
+        raise ValueError(
+            f"{name} must be positive semidefinite, but has the square {square:.3g} for this vector"
+        )
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
@@ -150,31 +208,41 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     interpolation error of u: 2.6e-03 5.1e-02
     """
     check_state(space, state)
-    t, exact = state.t, problem.exact
+    t, exact = state.t, object_of("problem", problem, Problem).exact
     if exact is None or exact.closest is None or exact.origin is None:
         raise ValueError(
-            "lifted errors need an exact solution with closest points and origins: "
-            "Exact(x, v, u, closest, origin)"
+            "lifted errors need an exact solution with closest points and origins: problem must "
+            "have Exact(x, v, u, closest, origin), but has "
+            f"{'none' if exact is None else 'not all of them'}"
         )
-    x_of, v_of = exact.x, exact.v
-    u_of = exact.functions["u"]
+    x_of, v_of, u_of = exact.x, exact.v, exact.functions.get("u")
     closest, origin = exact.closest, exact.origin
+    n = len(space.nodes)
     v = np.zeros_like(state.x) if state.v is None else state.v
+    # Without a "u", or an exact one, there is nothing to compare.
+    u = state.fields.get("u", np.zeros(n)) if u_of is not None else np.zeros(n)
+    compared = u_of is not None and "u" in state.fields
 
     def on_surface(y: Array) -> Array:
-        return finite_array("exact.closest(x, t)", closest(y, t), (len(y), 3))
+        return finite_array("exact.closest(x, t)", closest(y.copy(), t), (len(y), 3))
 
     def solution(y: Array) -> Array:
-        velocity = finite_array("exact.v(p, t)", v_of(origin(y, t), t), (len(y), 3))
-        values = finite_array("exact.u(x, t)", u_of(y, t), (len(y), *state.u.shape[1:]))
-        return np.hstack([y, velocity, values.reshape(len(y), -1)])
+        p = finite_array("exact.origin(x, t)", origin(y.copy(), t), (len(y), 3))
+        velocity = finite_array("exact.v(p, t)", v_of(p, t), (len(y), 3))
+        values = np.zeros((len(y), u[0].size))
+        if u_of is not None and compared:
+            shape = (len(y), *u.shape[1:])
+            values = finite_array("exact.u(x, t)", u_of(y.copy(), t), shape).reshape(values.shape)
+        return np.hstack([y, velocity, values])
 
-    x = finite_array("exact.x(p, t)", x_of(space.nodes, t), (len(space.nodes), 3))
-    w = np.hstack([state.x, v, state.u.reshape(len(x), -1)])
+    x = finite_array("exact.x(p, t)", x_of(space.nodes.copy(), t), (n, 3))
+    w = np.hstack([state.x, v, u.reshape(n, -1)])
     squares = squared_differences(space, x, on_surface, w, solution)
     l2, h1 = ([np.sqrt(part.sum()) for part in np.split(s, [3, 6])] for s in squares)
     if state.v is None:
         l2[1] = h1[1] = np.nan
+    if not compared:
+        l2[2] = h1[2] = np.nan
     x_l2, v_l2, u_l2 = map(float, l2)
     x_h1, v_h1, u_h1 = map(float, h1)
     return Errors(x_l2, x_h1, v_l2, v_h1, u_l2, u_h1)
@@ -223,7 +291,9 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
 def _difference(space: SurfaceSpace, state: State, reference: State, name: str) -> Errors:
     check_state(space, reference, name)
     if abs(state.t - reference.t) > 1e-9 * max(1.0, abs(reference.t)):
-        raise ValueError(f"the states are at different times, {state.t} and {reference.t}")
+        raise ValueError(
+            f"{name} must be at the time of state, t = {state.t}, but is at {reference.t}"
+        )
     u, u_reference = state.fields.get("u"), reference.fields.get("u")
     if u is not None and u_reference is not None and u.shape != u_reference.shape:
         raise ValueError(
@@ -282,16 +352,24 @@ def time_norms(
     4.0e-03 6.4e-03
     """
     first, last = real_array("window", window, (2,))
+    if not first <= last:
+        raise ValueError(f"window must be two times, the first not after the last, got {window}")
+    function("measure", measure, "measure(space, problem, state)")
+    iterable("states", states, "States")
     times, errors = [], []
-    for state in states:
+    for i, state in enumerate(states):
+        check_state(space, state, f"states[{i}]")
         times.append(state.t)
         _check_step(times)
         if state.v is not None and first - 1e-9 <= state.t <= last + 1e-9:
             errors.append(measure(space, problem, state))
     if not errors:
-        raise ValueError(f"no step after the starting states lies in the window {window}")
+        raise ValueError(
+            f"window must hold a step after the starting states, but none of {len(times)} states "
+            f"lies in {window}"
+        )
     if len(times) < 2:
-        raise ValueError("one state does not tell the step of the run: give two or more")
+        raise ValueError("states must hold two states or more, got one: it does not tell the step")
     tau = (times[-1] - times[0]) / (len(times) - 1)
     # Unlike Python's max, NumPy's does not skip NaN.
     largest = float(np.max([e.u_l2 for e in errors]))
@@ -305,6 +383,5 @@ def _check_step(times: list[float]) -> None:
     tau, last = times[1] - times[0], times[-1] - times[-2]
     if not (tau > 0 and abs(last - tau) <= 1e-6 * tau):
         raise ValueError(
-            "the states must be one positive, constant step apart, "
-            f"got steps of {tau:g} and {last:g}"
+            f"states must be one positive, constant step apart, got steps of {tau:g} and {last:g}"
         )

@@ -1,5 +1,6 @@
 """Tables for people."""
 
+import html
 from collections.abc import Iterable
 
 __all__ = ["Html", "html_table"]
@@ -35,7 +36,7 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
     header : iterable
         Heads of the columns.
     rows : iterable of iterables
-        Cells, written with ``str``; they may hold HTML.
+        Cells, written with ``str`` and escaped; an :class:`Html` stands as it is.
     kind : str
         Further CSS classes.
 
@@ -49,12 +50,16 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
     p order
     1 0.99
     """
-    heads, lines = [str(cell) for cell in header], [[str(cell) for cell in row] for row in rows]
-    head = "".join(f'<th scope="col">{cell}</th>' for cell in heads)
-    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in line) + "</tr>" for line in lines)
-    css = f"esfem-table {kind}".strip()
+    heads, lines = list(header), [list(row) for row in rows]
+    head = "".join(f'<th scope="col">{_html(cell)}</th>' for cell in heads)
+    body = "".join("<tr>" + "".join(f"<td>{_html(c)}</td>" for c in r) + "</tr>" for r in lines)
+    css = html.escape(f"esfem-table {kind}".strip())
     return Html(
         f'<div class="{css}"><table>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>",
-        "\n".join(" ".join(line) for line in [heads, *lines]),
+        "\n".join(" ".join(map(str, line)) for line in [heads, *lines]),
     )
+
+
+def _html(cell: object) -> str:
+    return cell.text if isinstance(cell, Html) else html.escape(str(cell), quote=False)

@@ -62,7 +62,7 @@ def test_arrays_of_a_shape():
     for values in (np.zeros((3, 4)), np.zeros(3), np.zeros((4, 3, 1)), 1.0, []):
         with pytest.raises(ValueError, match=r"x must have shape \(N, 3\), got \("):
             real_array("x", values, ("N", 3))
-    with pytest.raises(ValueError, match=r"x must have shape \(N, 3\): "):
+    with pytest.raises(ValueError, match=r"x must have shape \(N, 3\), but its rows have none: "):
         real_array("x", [[1, 2, 3], [4]], ("N", 3))
 
 

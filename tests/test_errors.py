@@ -59,7 +59,7 @@ def test_a_seminorm_of_a_constant_is_zero_and_not_nan():
 
 def test_problems_without_what_an_error_needs_are_refused():
     problem = ec.Problem(u0=lambda x: x[:, 0])
-    with pytest.raises(ValueError, match="a problem with an exact solution"):
+    with pytest.raises(ValueError, match="problem must have an exact solution"):
         ec.errors.compare(SPACE, problem, exact_state(0.0))
     with pytest.raises(ValueError, match="closest points and origins"):
         ec.errors.lifted(SPACE, problem, exact_state(0.0))
@@ -69,7 +69,7 @@ def test_problems_without_what_an_error_needs_are_refused():
 
 
 def test_states_at_different_times_are_refused():
-    with pytest.raises(ValueError, match=r"different times, 0\.1 and 0\.2"):
+    with pytest.raises(ValueError, match=r"at the time of state, t = 0\.1, but is at 0\.2"):
         ec.errors.difference(SPACE, exact_state(0.1), exact_state(0.2))
 
 
@@ -97,16 +97,8 @@ def test_what_is_no_state_of_the_space_is_refused(measure):
     state, n = exact_state(0.3), len(SPACE.nodes)
     for other, message in [
         (
-            dataclasses.replace(state, x=state.x[1:]),
+            ec.State(state.t, state.x[1:]),
             rf"state\.x must have shape \({n}, 3\), got \({n - 1}, 3\)",
-        ),
-        (
-            dataclasses.replace(state, v=state.v[1:]),
-            rf"state\.v must have shape \({n}, 3\), got \({n - 1}, 3\)",
-        ),
-        (
-            with_u(state, state.u[:1]),
-            rf"state\.u must have shape \({n},\) or \({n}, m\), got \(1,\)",
         ),
         (
             with_u(state, np.zeros((n, 2, 2))),
@@ -163,8 +155,8 @@ class TestNormsOverARun:
             ((RUN[0], RUN[1], RUN[3]), "got steps of 0.1 and 0.2"),
             (RUN[::-1], "got steps of -0.1 and -0.1"),
             ((RUN[1], RUN[1]), "got steps of 0 and 0"),
-            (RUN[1:2], "one state does not tell the step"),
-            ((), "no step after the starting states lies in the window"),
+            (RUN[1:2], "states must hold two states or more, got one"),
+            ((), "window must hold a step after the starting states"),
         ],
     )
     def test_what_is_no_run_is_refused(self, states, message):
@@ -172,7 +164,7 @@ class TestNormsOverARun:
             self.norms(states)
 
     def test_an_empty_window_is_refused(self):
-        with pytest.raises(ValueError, match="no step after the starting states"):
+        with pytest.raises(ValueError, match="window must hold a step after the starting states"):
             self.norms(self.RUN, (0.31, 0.39))
         with pytest.raises(ValueError, match=r"window must have shape \(2,\), got \(3,\)"):
             self.norms(self.RUN, (0.0, 0.1, 0.2))

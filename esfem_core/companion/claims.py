@@ -185,10 +185,10 @@ class Claim:
         )
         note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
         return (
-            f'<div class="esfem-claim esfem-{verdict}" id="check-{anchor(self.id)}" '
+            f'<div class="esfem-claim esfem-{verdict}" id="check-{html.escape(anchor(self.id))}" '
             f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
             f'<p><span class="esfem-verdict">{SIGNS[self.verdict]} {self.verdict}</span> '
-            f'claim <a href="ledger.html#claim-{anchor(self.id)}">{self.id}</a></p>'
+            f'claim <a href="ledger.html#claim-{anchor(self.id)}">{html.escape(self.id)}</a></p>'
             '<div class="esfem-table"><table><thead><tr>'
             "<th>measured</th><th>form</th><th>value</th><th>must be</th><th>result</th>"
             f"</tr></thead><tbody>{rows}</tbody></table></div>{note}</div>"

@@ -137,7 +137,8 @@ class ElementTables:
             # One comparison for all; where it fails, element by element.
             if not s2.min() > (1.5 * LEAST * (E.max() + G.max()) + smallest) ** 2:
                 sound = s2 > (LEAST * (E + G - F) + smallest) ** 2
-                _report_first(~np.isfinite(s2), "is not finite", nodes, first)
+                what = "is not finite: the node positions x must be"
+                _report_first(~np.isfinite(s2), what, nodes, first)
                 _report_first(~sound, "is degenerate", nodes, first)
             s = np.sqrt(s2)
             return Metric(nodes, t1, t2, E, F, G, s, 1 / s)

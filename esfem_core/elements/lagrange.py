@@ -6,7 +6,9 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 
-__all__ = ["Basis", "node_indices", "tabulate"]
+__all__ = ["MOST_DEGREE", "Basis", "node_indices", "tabulate"]
+
+MOST_DEGREE = 12  # with equispaced nodes, rounding grows with the degree: to 1e-12 here
 
 
 def node_indices(degree: int) -> Ints:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from esfem_core.checks import Array, Ints
+from esfem_core.checks import Array, Ints, finite_array
 from esfem_core.elements.lagrange import node_indices
 from esfem_core.surfaces import sides_of
 
@@ -16,6 +16,8 @@ __all__ = [
     "number_cells",
     "place_nodes",
 ]
+
+FARTHEST = 0.5  # an octahedron's nodes move by 0.3 of its sides to the sphere
 
 
 def number_cells(faces: Ints, degree: int) -> Ints:
@@ -127,14 +129,29 @@ def place_nodes(
     if project is None:
         return nodes
     new = nodes[first:]
-    moved = np.asarray(project(new.copy()), dtype=float)
-    if moved.shape != new.shape:
-        raise ValueError(f"project must return an array of shape {new.shape}, got {moved.shape}")
-    if not np.isfinite(moved).all():
-        i = int(np.argmin(np.isfinite(moved).all(axis=1)))
-        raise ValueError(f"project returned {moved[i].tolist()} for the point {new[i].tolist()}")
+    moved = finite_array("project(points)", project(new.copy()), new.shape)
+    _check_near(moved, new, vertices, faces, cells, first)
     nodes[first:] = moved
     return nodes
+
+
+def _check_near(
+    moved: Array, new: Array, vertices: Array, faces: Ints, cells: Ints, first: int
+) -> None:
+    """Refuse a projection to another surface than that of the triangulation."""
+    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+    longest = np.zeros(len(new) + first)  # side of the triangles that a node belongs to
+    np.maximum.at(longest, cells, np.linalg.norm(sides, axis=2).max(axis=1)[:, None])
+    distance = np.linalg.norm(moved - new, axis=1)
+    share = distance / longest[first:]
+    if share.max(initial=0.0) > FARTHEST:
+        i = int(np.argmax(share))
+        raise ValueError(
+            f"project must move nodes to the surface that the triangulation is near, by at most "
+            f"{FARTHEST:g} times the longest side of a triangle there, but it moves "
+            f"{new[i].round(6).tolist()} to {moved[i].round(6).tolist()}, by {share[i]:.3g} times: "
+            "is it the projection to this surface, and the triangulation fine enough?"
+        )
 
 
 def flat_triangles(cells: Ints, degree: int) -> Ints:

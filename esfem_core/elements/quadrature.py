@@ -35,6 +35,9 @@ _ORBITS: dict[int, tuple[tuple[float, ...], ...]] = {
 }
 
 
+MOST_EXACTNESS = 100  # of a product of Gauss rules with 2,601 points
+
+
 class TriangleRule(NamedTuple):
     """Points and weights on the reference triangle.
 
@@ -61,7 +64,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
     Parameters
     ----------
     exactness : int
-        Polynomial degree, 0 or more.
+        Polynomial degree, 0 to 100.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
     Raises
     ------
     ValueError
-        If `exactness` is not a non-negative integer.
+        If `exactness` is not one of 0, ..., 100.
 
     Examples
     --------
@@ -79,7 +82,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
     >>> len(rule.weights), round(float(rule.weights @ rule.points[:, 0] ** 4), 15)
     (6, 0.033333333333333)
     """
-    exactness = whole_number("exactness", exactness, 0)
+    exactness = whole_number("exactness", exactness, 0, MOST_EXACTNESS)
     for degree, orbits in _ORBITS.items():
         if degree >= exactness:
             return _symmetric_rule(degree, orbits)

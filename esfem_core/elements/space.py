@@ -20,14 +20,15 @@ from esfem_core.checks import (
     Ints,
     finite_array,
     flag,
+    function,
     integer_array,
     one_of,
     real_array,
     shown,
     whole_number,
 )
-from esfem_core.elements.integrals import ElementTables, Metric, chunks
-from esfem_core.elements.lagrange import tabulate
+from esfem_core.elements.integrals import DegenerateElementError, ElementTables, Metric, chunks
+from esfem_core.elements.lagrange import MOST_DEGREE, tabulate
 from esfem_core.elements.numbering import (
     boundary_nodes,
     check_cells,
@@ -132,9 +133,12 @@ class SurfaceSpace:
         project_vertices: bool = False,
         boundary: bool = False,
     ) -> None:
-        degree = whole_number("degree", degree, 1)
+        degree = whole_number("degree", degree, 1, MOST_DEGREE)
         check_triangulation(tri, boundary)
-        rule = triangle_rule(2 * degree if exactness is None else exactness)
+        rule = _rule(degree, exactness)
+        flag("project_vertices", project_vertices)
+        if project is not None:
+            function("project", project, "of points (n, 3), or None")
         vertices = np.array(tri.vertices, dtype=float)
         faces = np.array(tri.faces, dtype=np.int64)
         cells = number_cells(faces, degree)
@@ -205,6 +209,7 @@ class SurfaceSpace:
                 "cells must have 3, 6, 10, 15, 21, ... columns, the nodes of an element of degree "
                 f"1, 2, 3, 4, 5, ...; got {cells.shape[1]}"
             )
+        degree = whole_number("the degree of cells", degree, 1, MOST_DEGREE)
         if len(cells) and not 0 <= cells.min() <= cells.max() < len(nodes):
             raise ValueError(
                 f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
@@ -213,7 +218,8 @@ class SurfaceSpace:
         unused = np.bincount(cells.ravel(), minlength=len(nodes)) == 0
         if unused.any():
             raise ValueError(
-                f"node {np.argmax(unused)} belongs to no element ({unused.sum()} such nodes); "
+                f"nodes must belong to elements of cells, but node {np.argmax(unused)} belongs to "
+                f"none ({unused.sum()} such nodes); "
                 "used, numbers = np.unique(cells, return_inverse=True) gives nodes[used] and "
                 "cells = numbers.reshape(cells.shape)"
             )
@@ -231,13 +237,11 @@ class SurfaceSpace:
                     f"at the same place{boundary_advice(nodes[corners], faces)}"
                 )
             raise ValueError(
-                f"the corners of the elements are no fit triangulation: {found.text}; {advice}"
+                f"cells must have corners that make a fit triangulation, but {found.text}; {advice}"
             )
         check_cells(cells, faces, degree, len(nodes))
         space = cls.__new__(cls)
-        space._set_up(
-            nodes, cells, degree, triangle_rule(2 * degree if exactness is None else exactness)
-        )
+        space._set_up(nodes, cells, degree, _rule(degree, exactness))
         return space
 
     @classmethod
@@ -277,10 +281,12 @@ class SurfaceSpace:
             If it cannot be read, holds other cells than triangles of one degree, or is not fit;
             see :meth:`from_nodes`.
         """
+        if report is not None:
+            function("report", report, "of a line of text, or None")
         found = curved_elements(source)
         [(_, cells)] = found.cells
         space = cls.from_nodes(found.points, cells, exactness, order="meshio", boundary=boundary)
-        if report:
+        if report is not None:
             report(
                 f"{found.name}: degree {space.degree}, {len(space.nodes)} nodes, {len(cells)} cells"
             )
@@ -305,6 +311,25 @@ class SurfaceSpace:
         self.nodes.setflags(write=False)
         self.cells.setflags(write=False)
         self.boundary_nodes.setflags(write=False)
+        self._check_elements()
+
+    def _check_elements(self) -> None:
+        """Refuse curved elements that fold back: what is accepted has a mass matrix."""
+        try:
+            normal = self.normals(self.nodes)
+        except DegenerateElementError as error:
+            raise ValueError(
+                f"nodes must make elements with an area at all quadrature points, but {error}"
+            ) from error
+        a, b, c = self.nodes[self.cells[:, :3].T]
+        cosine = np.einsum("tqi,ti->tq", normal, np.cross(b - a, c - a))
+        if not cosine.min() > 0:
+            t = int(np.argmin(cosine.min(axis=1)))
+            raise ValueError(
+                "nodes must make elements that do not fold back, but the normal of element "
+                f"{t}, near {a[t].round(6).tolist()}, is turned by more than a right angle against "
+                "that of its flat triangle: place the nodes nearer to it"
+            )
 
     def __repr__(self) -> str:
         return (
@@ -390,8 +415,8 @@ class SurfaceSpace:
         """
         x = real_array("x", x, self.nodes.shape)
         if not callable(function):
-            raise TypeError(f"function must take points (N, 3), got {shown(function)}")
-        values = finite_array("function(x)", function(x), (len(x), "..."))
+            raise TypeError(f"function must be a function of points (N, 3), got {shown(function)}")
+        values = finite_array("function(x)", function(x.copy()), (len(x), "..."))
         return np.array(values)
 
     def probe(self, x: Array, u: Array, points: ArrayLike) -> Array:
@@ -454,9 +479,10 @@ class SurfaceSpace:
     def integral_with(self, density: Array, values: ArrayLike) -> Array:
         """Integrals with the area density, (Q, T), of a surface."""
         measure = density.T * self.rule.weights
-        if np.ndim(values) == 0:
-            return np.asarray(real_array("values", values, ()) * measure.sum())[()]
-        at_points = real_array("values", values, (*measure.shape, "..."))
+        at_points = real_array("values", values, ("...",))
+        if at_points.ndim == 0:
+            return np.asarray(at_points * measure.sum())[()]
+        at_points = real_array("values", at_points, (*measure.shape, "..."))
         total: Array = np.tensordot(measure, at_points, 2)[()]
         return total
 
@@ -576,7 +602,7 @@ class SurfaceSpace:
 
     def quadrature_points(self, x: Array) -> Array:
         """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3)."""
-        return self.evaluate(np.asarray(x))
+        return self.evaluate(finite_array("x", x, self.nodes.shape))
 
     def normals(self, x: Array) -> Array:
         """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
@@ -616,7 +642,7 @@ class SurfaceSpace:
 
     def mesh_size(self, x: Array) -> float:
         """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""
-        corners = np.asarray(x)[self.cells[:, :3]]
+        corners = finite_array("x", x, self.nodes.shape)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 
     def metrics(self, x: Array) -> Iterator[tuple[slice, Metric]]:
@@ -645,3 +671,23 @@ def _turned(vertices: Array, faces: Ints, boundary: bool) -> Bools:
     if len(faces) == 0 or (times > 2).any() or (not boundary and (times == 1).any()):
         return none
     return turned_to_outside(vertices, faces) if turned_to_agree(faces)[1].all() else none
+
+
+def _rule(degree: int, exactness: int | None) -> TriangleRule:
+    """The quadrature rule; too weak a one would make the mass matrix singular."""
+    rule = triangle_rule(2 * degree if exactness is None else exactness)
+    least = rule.exactness
+    while not _independent(degree, triangle_rule(least)):
+        least += 1
+    if least > rule.exactness:
+        raise ValueError(
+            f"exactness must be {least} or more for elements of degree {degree}, got {exactness}: "
+            f"{len(rule.weights)} points do not tell {(degree + 1) * (degree + 2) // 2} basis "
+            "functions apart, and the mass matrix is singular"
+        )
+    return rule
+
+
+def _independent(degree: int, rule: TriangleRule) -> bool:
+    values = tabulate(degree, rule.points).values
+    return bool(np.linalg.matrix_rank(values) == values.shape[1])

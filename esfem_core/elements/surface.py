@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, number, real_array
+from esfem_core.checks import Array, mapping, number, object_of, real_array
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
 
@@ -89,14 +89,14 @@ class Surface:
         *,
         expected: Set[Key] = frozenset(),
     ) -> None:
-        if not isinstance(space, SurfaceSpace):
-            raise TypeError(f"space must be a SurfaceSpace, got {type(space).__name__}")
-        self.space, self.t = space, t
+        object_of("space", space, SurfaceSpace)
+        self.space, self.t = space, number("t", t)
         self.x = _read_only(real_array("x", x, space.nodes.shape))
         if fields is None:
             fields = {}
         elif not isinstance(fields, Mapping):
             fields = {"u": fields}
+        mapping("fields", fields, "nodal values")
         shape = (len(space.nodes), "...")
         self.fields: Mapping[str, Array] = MappingProxyType(
             {name: _read_only(real_array(name, values, shape)) for name, values in fields.items()}
@@ -206,14 +206,16 @@ class Surface:
         True
         """
         points = self.density.shape
-        if values is None or np.ndim(values) == 0:
-            trailing = () if flux is None else np.shape(flux)[2:-1]
-            constant = 0.0 if values is None else number("values", values)
-            values = np.full((*points, *trailing), constant)
-        values = real_array("values", values, (*points, "..."))
-        b = self.space.load_with(self.density.T, values)
-        if flux is not None:
-            b += self._flux_load(real_array("flux", flux, (*values.shape, 3)))
+        along = None if flux is None else real_array("flux", flux, (*points, "..."))
+        at_points = real_array("values", 0.0 if values is None else values, ("...",))
+        if at_points.ndim == 0:
+            number("values", at_points)
+            trailing = () if along is None else along.shape[2:-1]
+            at_points = np.full((*points, *trailing), at_points)
+        at_points = real_array("values", at_points, (*points, "..."))
+        b = self.space.load_with(self.density.T, at_points)
+        if along is not None:
+            b += self._flux_load(real_array("flux", along, (*at_points.shape, 3)))
         return b
 
     def matrix(self, mass: ArrayLike = 0.0, stiffness: ArrayLike = 0.0) -> csr_array:
@@ -245,7 +247,9 @@ class Surface:
         >>> bool(abs(K - (2 * at.M + 3 * at.A)).max() < 1e-14)
         True
         """
-        if np.ndim(mass) == 0 and np.ndim(stiffness) == 0:
+        mass = real_array("mass", mass, ("...",))
+        stiffness = real_array("stiffness", stiffness, ("...",))
+        if mass.ndim == 0 and stiffness.ndim == 0:
             a, b = number("mass", mass), number("stiffness", stiffness)
             return combination(a, self.M, b, self.A)
         points = self.density.shape

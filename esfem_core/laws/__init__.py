@@ -7,7 +7,7 @@ from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.slip import Elastic, with_slip
-from esfem_core.laws.species import Part, Species
+from esfem_core.laws.species import Part, Species, check_initial
 from esfem_core.laws.values import values_at
 from esfem_core.laws.volume_preserving import VolumePreserving
 
@@ -23,6 +23,7 @@ __all__ = [
     "Solve",
     "Species",
     "VolumePreserving",
+    "check_initial",
     "values_at",
     "with_slip",
 ]

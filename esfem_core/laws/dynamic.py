@@ -73,6 +73,14 @@ class Dynamic(Law):
     def __post_init__(self) -> None:
         number("alpha", self.alpha, least=0)
         number("beta", self.beta, least=0)
+        if not callable(self.v0):
+            v0 = np.array(finite_array("v0", self.v0, ("...",)))
+            if v0.size != 1 and (v0.ndim > 2 or v0.shape[-1:] != (3,)):
+                raise ValueError(
+                    f"v0 must be a number, a vector (3,) or nodal values (N, 3), got {v0.shape}"
+                )
+            v0.setflags(write=False)  # whoever gave the array may go on to change it
+            object.__setattr__(self, "v0", v0)
         if self.g is not None and not callable(self.g):
             raise TypeError(f"g must be a function of a Surface or None, got {shown(self.g)}")
 
@@ -105,7 +113,8 @@ class Dynamic(Law):
         return force_at(self.g, at)
 
     def _initial(self, x: Array) -> Array:
-        values = self.v0(x) if callable(self.v0) else self.v0
-        if np.ndim(values) < 2 and not callable(self.v0):
+        values = self.v0(x.copy()) if callable(self.v0) else self.v0
+        values = finite_array("v0", values, ("...",))
+        if values.ndim < 2 and not callable(self.v0):
             values = np.broadcast_to(values, x.shape)
         return finite_array("v0", values, x.shape)

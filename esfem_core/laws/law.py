@@ -18,7 +18,7 @@ class Law(Protocol):
     """What a time scheme asks of a velocity law.
 
     A class of one's own needs `velocity`; the rest may be left out, or be inherited from this
-    class, which :func:`esfem_core.laws.with_slip` asks for.
+    class.
 
     Attributes
     ----------

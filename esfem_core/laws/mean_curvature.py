@@ -96,6 +96,14 @@ class MeanCurvature(Law):
         number("beta", self.beta, above=0)
         if self.g is not None and not callable(self.g):
             raise TypeError(f"g must be a function g(at) or g(x, t), or None, got {shown(self.g)}")
+        for name, shape in (("normal", ("N", 3)), ("curvature", ("N",))):
+            value = getattr(self, name)
+            if value is not None and not callable(value):
+                own = np.array(finite_array(name, value, shape))
+                if not own.size:
+                    raise ValueError(f"{name} must hold a value for each node, got none")
+                own.setflags(write=False)  # whoever gave the array may go on to change it
+                object.__setattr__(self, name, own)
         object.__setattr__(self, "forcing", Once(self._forcing))
 
     @property
@@ -103,8 +111,10 @@ class MeanCurvature(Law):
         """The normal and the mean curvature."""
         options: dict[str, Any] = {"diffusivity": self.beta, "conserved": False}
         return {
-            "normal": Species(self.normal, self._normal_source, **options),
-            "H": Species(self.curvature, self._curvature_source, **options),
+            "normal": Species(_given("normal", self.normal, (3,)), self._normal_source, **options),
+            "H": Species(
+                _given("curvature", self.curvature, ()), self._curvature_source, **options
+            ),
         }
 
     def initial(self, at: Surface) -> Mapping[str, Array]:
@@ -153,6 +163,13 @@ class MeanCurvature(Law):
         if _takes_points(self.g):
             return finite_array("g(x, t)", self.g(at.x.copy(), at.t), (len(at.x),))
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
+
+
+def _given(name: str, values: Initial | None, trailing: tuple[int, ...]) -> Initial | None:
+    """Initial values, those of a function checked."""
+    if values is None or not callable(values):
+        return values
+    return lambda x: finite_array(f"{name}(x)", values(x.copy()), (len(x), *trailing))
 
 
 def _squared_weingarten(at: Surface) -> Array:

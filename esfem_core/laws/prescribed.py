@@ -49,7 +49,8 @@ class Prescribed(Law):
         velocity: Callable[[Array, float], Array] | None = None,
     ) -> None:
         if (motion is None) == (velocity is None):
-            raise ValueError("exactly one of motion and velocity must be given")
+            both = "none" if motion is None else "both"
+            raise ValueError(f"exactly one of motion and velocity must be given, got {both}")
         for name, value in (("motion", motion), ("velocity", velocity)):
             if value is not None and not callable(value):
                 raise TypeError(f"{name} must be a function or None, got {shown(value)}")
@@ -75,7 +76,9 @@ class Prescribed(Law):
         (N, 3) float array
         """
         if self.motion is not None:
-            return np.array(real_array("motion(p, t)", self.motion(nodes.copy(), t), nodes.shape))
+            moved = real_array("motion(p, t)", self.motion(nodes.copy(), t), nodes.shape)
+            _check_finite("motion(p, t)", moved, nodes, t)
+            return np.array(moved)
         start, x = before
         if t == start:
             return np.array(x)
@@ -84,14 +87,9 @@ class Prescribed(Law):
 
         def rate(time: float, flat: Array) -> Array:
             here = flat.reshape(nodes.shape)
-            v = real_array("velocity(x, t)", field(here, time), nodes.shape)
-            finite = np.isfinite(v).all(axis=1)
-            if not finite.all():  # the integrator would try smaller and smaller steps
-                node = int(np.argmin(finite))
-                where = np.array2string(here[node], precision=4)
-                raise FloatingPointError(
-                    f"velocity(x, t) is not finite at node {node} near {where} at t = {time:.6g}"
-                )
+            v = real_array("velocity(x, t)", field(here.copy(), time), nodes.shape)
+            # The integrator would try smaller and smaller steps.
+            _check_finite("velocity(x, t)", v, here, time)
             return v.ravel()
 
         size = float(np.abs(x).max())
@@ -100,8 +98,8 @@ class Prescribed(Law):
         flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
         if not flow.success:
             raise FloatingPointError(f"the velocity cannot be integrated: {flow.message}")
-        moved: Array = flow.y[:, -1].reshape(nodes.shape)
-        return moved
+        end: Array = flow.y[:, -1].reshape(nodes.shape)
+        return end
 
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
@@ -109,3 +107,13 @@ class Prescribed(Law):
         """The difference quotient of the given positions, so that x = tau v - past."""
         quotient: Array = (at.x + past) / tau
         return quotient
+
+
+def _check_finite(name: str, values: Array, x: Array, t: float) -> None:
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        node = int(np.argmin(finite))
+        where = np.array2string(x[node], precision=4)
+        raise FloatingPointError(
+            f"{name} is not finite at node {node} near {where} at t = {t:.6g}: it must be"
+        )

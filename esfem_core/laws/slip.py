@@ -155,13 +155,14 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     >>> print(f"{abs(last.u - np.exp(-2 * last.t) * last.x[:, 0]).max():.0e}")
     9e-06
     """
-    if not (hasattr(law, "velocity") and hasattr(law, "species")):
-        raise TypeError(f"law must be a law, got {shown(law)}")
+    if isinstance(law, type) or not callable(getattr(law, "velocity", None)):
+        raise TypeError(f"law must be a law, an object with a method velocity, got {shown(law)}")
     if isinstance(law, _Slipping):
-        raise ValueError("this law slips already: add the two velocities to one")
+        raise ValueError("law must have no slip yet, but has one: add the two velocities to one")
     if hasattr(law, "position") and not (isinstance(law, Prescribed) and law.motion is None):
         raise ValueError(
-            "nodes whose positions are prescribed cannot slip: Prescribed(velocity=v) can"
+            "law must let its nodes go, but it prescribes their positions: Prescribed(velocity=v) "
+            "can slip"
         )
     if callable(w):
         return _Slipping(law, w)
@@ -181,14 +182,14 @@ class _Slipping(Law):
 
     @property
     def species(self) -> Mapping[str, Species]:
-        return self.law.species
+        return getattr(self.law, "species", {})
 
     def initial(self, at: Surface) -> Mapping[str, Array]:
-        return self.law.initial(at)
+        return self.law.initial(at) if hasattr(self.law, "initial") else {}
 
     def equations(self, tau: float, past: Array) -> Mapping[str, Species]:
         law = self.law
-        return law.equations(tau, past) if hasattr(law, "equations") else law.species
+        return law.equations(tau, past) if hasattr(law, "equations") else self.species
 
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.checks import Array, finite_array, flag, number, shown
 from esfem_core.elements import NotFiniteError, Surface, combination
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
 
-__all__ = ["Part", "Species"]
+__all__ = ["Part", "Species", "check_initial"]
 
 NEGATIVE = 1e-12  # eigenvalues of diffusion tensors this far below zero, relatively, are rounding
 
@@ -142,7 +142,9 @@ class Species:
 
     def __post_init__(self) -> None:
         if self.source is not None and not callable(self.source):
-            raise TypeError(f"source must be a function of a Surface, got {shown(self.source)}")
+            raise TypeError(
+                f"source must be a function of a Surface or None, got {shown(self.source)}"
+            )
         if self.rate is not None and not callable(self.rate):
             number("rate", self.rate, least=0)
         if not callable(self.diffusivity):
@@ -155,14 +157,14 @@ class Species:
                         "diffusivity must hold a number >= 0 for each component, got "
                         f"{values.tolist()}"
                     )
+        check_initial("initial", self.initial)
         for name in ("initial", "diffusivity"):  # whoever gave the array may go on to change it
             value = getattr(self, name)
-            if isinstance(value, np.ndarray):
-                own = value.copy()
+            if isinstance(value, np.ndarray | list | tuple):
+                own = np.array(value)
                 own.setflags(write=False)
                 object.__setattr__(self, name, own)
-        if not isinstance(self.conserved, bool | np.bool_):
-            raise TypeError(f"conserved must be True or False, got {shown(self.conserved)}")
+        flag("conserved", self.conserved)
         if self.fixed is not None:
             object.__setattr__(self, "fixed", Fixed.of(self.fixed))
 
@@ -186,18 +188,20 @@ class Species:
             components.
         """
         values: Any = self.initial(x.copy()) if callable(self.initial) else self.initial
-        if np.ndim(values) == 0:
-            values = np.full(len(x), number(name, values))
-        if np.ndim(values) > 2 or len(values) != len(x) or np.size(values) == 0:
+        values = finite_array(name, values, ("...",))
+        if values.ndim == 0:
+            values = np.full(len(x), values)
+        if values.ndim > 2 or values.shape[:1] != x.shape[:1] or values.size == 0:
             raise ValueError(
                 f"{name} must give a number or one row for each of {len(x)} nodes, shape "
                 f"({len(x)},) or ({len(x)}, m); got {np.shape(values)}"
             )
-        u = np.array(finite_array(name, values, np.shape(values)))
+        u = np.array(values)
         D: Any = self.diffusivity
         if np.ndim(D) == 1 and np.shape(D) != u.shape[1:]:
             raise ValueError(
-                f"diffusivity has shape {np.shape(D)}, but {name} has "
+                f"diffusivity must have one number for each component of {name}: diffusivity has "
+                f"shape {np.shape(D)}, but {name} has "
                 f"{u.shape[1:] or 'one component, (N,)'}"
             )
         return u
@@ -221,7 +225,8 @@ class Species:
         returned = self.source(at)
         if returned is None:
             raise TypeError(
-                f"the source of {name!r} returned None: is a return missing? Zero is 0.0"
+                f"the source{' f' if name == 'u' else ''} of {name!r} must return numbers, but "
+                "returned None: is a return missing? Zero is 0.0"
             )
         trailing = at.fields[name].shape[1:]
         called = f"the source{' f' if name == 'u' else ''} of {name!r}"
@@ -256,6 +261,30 @@ class Species:
                 element,
             )
         return values
+
+
+def check_initial(name: str, value: object) -> None:
+    """Refuse what can be no initial values; None and functions are for later.
+
+    Examples
+    --------
+    >>> check_initial("u0", "one")
+    Traceback (most recent call last):
+        ...
+    TypeError: u0 must be a function of points (N, 3), nodal values or a number, got 'one'
+    """
+    if value is None or callable(value):
+        return
+    if isinstance(value, np.ndarray | list | tuple) and np.size(value):
+        finite_array(name, value, ("...",))
+        return
+    try:
+        number(name, value)
+    except TypeError:
+        raise TypeError(
+            f"{name} must be a function of points (N, 3), nodal values or a number, got "
+            f"{shown(value)}"
+        ) from None
 
 
 def _check_definite(D: Array, at: Surface) -> None:

@@ -38,21 +38,21 @@ def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[in
         If a value is not finite; it says where.
     """
     points = at.density.shape
-    if np.ndim(returned) == 0 and np.isscalar(returned):
-        returned = np.full((*points, *trailing[0]), returned)
+    values = real_array(f"what {name} returns", returned, ("...",))
+    if values.ndim == 0:
+        values = np.full((*points, *trailing[0]), values)
     shapes = [(*points, *shape) for shape in trailing]
-    if np.shape(returned) not in shapes:
+    if values.shape not in shapes:
         allowed = " or ".join(map(str, shapes))
-        raise ValueError(
-            f"{name} must return an array of shape {allowed}, got {np.shape(returned)}"
-        )
-    values = real_array(f"what {name} returns", returned, np.shape(returned))
+        raise ValueError(f"{name} must return an array of shape {allowed}, got {values.shape}")
     finite = np.isfinite(values)
     if not finite.all():
         element, point = np.argwhere(~finite)[0, :2].tolist()
         where = np.array2string(at.points[element, point], precision=4)
         raise NotFiniteError(
-            f"{name} returned {values[element, point]} in element {element} at {where}", element
+            f"{name} returned {values[element, point]} in element {element} at {where}: it must be "
+            "finite",
+            element,
         )
     return values
 

@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import html
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import finite_array, output_path, whole_number
+from esfem_core.checks import (
+    finite_array,
+    function,
+    items,
+    iterable,
+    object_of,
+    output_path,
+    shown,
+    string,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace
 from esfem_core.output.pictures import (
     Values,
@@ -29,6 +40,8 @@ from esfem_core.stepping import State, write_whole
 from esfem_core.tables import Html
 
 __all__ = ["animate", "surface_animation"]
+
+IDENTIFIER = r"[\w-]+"
 
 
 def surface_animation(
@@ -84,9 +97,20 @@ def surface_animation(
     >>> surface_animation(space, states, title="A growing sphere")
     A growing sphere: 2 frames, t = 0 to 0.5
     """
-    shots, n = list(states), len(space.nodes)
+    object_of("space", space, SurfaceSpace)
+    string("title", title)
+    string("label", label)
+    if not re.fullmatch(IDENTIFIER, string("div_id", div_id)):
+        raise ValueError(f"div_id must be letters, digits, - and _, got {div_id!r}")
+    if values is not None:
+        function("values", values, "of a state, or None")
+    shots: list[Any] = list(iterable("states", states, "States"))
     if not shots:
-        raise ValueError("there is no state to draw")
+        raise ValueError("states must hold at least one state, got none")
+    n = len(space.nodes)
+    for i, s in enumerate(shots):
+        if not hasattr(s, "x") or not hasattr(s, "t"):
+            raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
     frames = [
         Shot(
             space,
@@ -152,9 +176,10 @@ def animate(
     """
     file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
     whole_number("duration", duration, 1)
-    shots = [states] if isinstance(states, State) else list(states)
-    if not shots:
-        raise ValueError("there is no state to draw")
+    string("title", title)
+    if label is not None:
+        string("label", label)
+    shots = [states] if isinstance(states, State) else items("states", states, State)
     spaces = [known_space(s, f"states[{i}]") for i, s in enumerate(shots)]
     named = [nodal_values(s, values) for s in shots]
     label = named[0][0] if label is None else label
@@ -164,7 +189,7 @@ def animate(
     ]
     if file is not None and file.suffix.lower() != ".html":
         return _film(file, frames, title, label, limits, duration)
-    name = "esfem-animation" if file is None else file.stem
+    name = "esfem-animation" if file is None else re.sub(rf"(?!{IDENTIFIER}).", "-", file.stem)
     page = viewer(frames, title, label, name, duration, limits)
     if file is None:
         return page

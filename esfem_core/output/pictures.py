@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.checks import Array, finite_array, number, object_of, shown, string
 from esfem_core.elements import SurfaceSpace
 from esfem_core.output.curved import refined
 from esfem_core.stepping import State, check_state
@@ -86,6 +86,9 @@ def plot(
     't = 0.5'
     """
     space = known_space(state)
+    for called, value in (("title", title), ("label", label)):
+        if value is not None:
+            string(called, value)
     name, colours = nodal_values(state, values)
     shades = colour_range([colours], limits)
     if ax is None:
@@ -143,12 +146,11 @@ def draw(
     return scale
 
 
-def known_space(state: object, name: str = "state") -> SurfaceSpace:
+def known_space(state: State, name: str = "state") -> SurfaceSpace:
     """The space of a state; refuses what is none."""
-    if not isinstance(state, State):
-        raise TypeError(f"{name} must be a State, got {shown(state)}")
-    if state.space is None:
-        raise ValueError(f"{name} knows no space: State(..., space=space)")
+    if object_of(name, state, State).space is None:
+        raise ValueError(f"{name} must know its space, but has none: State(..., space=space)")
+    assert state.space is not None
     check_state(state.space, state, name)
     return state.space
 

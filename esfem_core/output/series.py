@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from esfem_core.checks import output_path, shown
+from esfem_core.checks import flag, iterable, output_path, shown
 from esfem_core.output.curved import nodal_normals
 from esfem_core.stepping import State, check_state, write_whole
 
@@ -67,7 +67,8 @@ class SeriesWriter:
         self, path: str | os.PathLike[str], *, normals: bool = False, go_on: bool = False
     ) -> None:
         self.path = output_path("path", path, (".pvd",))
-        self._normals = normals
+        self._normals = flag("normals", normals)
+        flag("go_on", go_on)
         self._written: list[tuple[float, str]] = []
         if go_on and self.path.exists():
             self._written = _entries(self.path)
@@ -101,14 +102,16 @@ class SeriesWriter:
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
         if not isinstance(state, State):
-            raise TypeError(f"a series holds states, got {shown(state)}")
+            raise TypeError(f"states must be States, got {shown(state)}")
         if state.space is None:
-            raise ValueError("this state knows no space: State(..., space=space)")
+            raise ValueError(
+                "states must know their space, but one has none: State(..., space=space)"
+            )
         check_state(state.space, state)
         last = self._last or state
         if _functions(state) != _functions(last):
             raise ValueError(
-                f"all states of a series must have the same functions, but that of t = {state.t:g} "
+                f"states of a series must have the same functions, but that of t = {state.t:g} "
                 f"has {_functions(state)}, the one before {_functions(last)}"
             )
         if state.t < last.t:
@@ -179,7 +182,7 @@ def save_series(
     """
     writer = SeriesWriter(path, normals=normals, go_on=go_on)
     last = None
-    for state in [states] if isinstance(states, State) else states:
+    for state in [states] if isinstance(states, State) else iterable("states", states, "States"):
         writer.write(state)
         last = state
     if last is None:
@@ -226,11 +229,11 @@ class TableWriter:
         """
         named = row._asdict() if hasattr(row, "_asdict") else row
         if not isinstance(named, Mapping) or not named:
-            raise TypeError(f"a row must be a NamedTuple or a mapping, got {shown(row)}")
+            raise TypeError(f"rows must be NamedTuples or mappings, got {shown(row)}")
         cells = dict(_cells(named))
         if self._columns is not None and self._columns != list(cells):
             raise ValueError(
-                f"all rows must have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
+                f"rows must all have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
             )
         text = io.StringIO()
         lines = csv.writer(text, lineterminator="\n")
@@ -271,7 +274,7 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
     """
     writer = TableWriter(path)
     empty = True
-    for row in rows:
+    for row in iterable("rows", rows, "NamedTuples or mappings"):
         writer.write(row)
         empty = False
     if empty:

@@ -189,8 +189,8 @@ def _triangles(space: SurfaceSpace) -> list[str]:
 def _trace(shades: Range, label: str, *, plain: bool) -> Parts:
     """Colours and light."""
     text = {
-        "hovertemplate": f"{label} = %{{intensity:.4g}}<extra></extra>",
-        "colorbar": {"title": {"text": label, "side": "top"}} | COLOUR_BAR,
+        "hovertemplate": f"{html.escape(label)} = %{{intensity:.4g}}<extra></extra>",
+        "colorbar": {"title": {"text": html.escape(label), "side": "top"}} | COLOUR_BAR,
     }
     one_colour = {"colorscale": [[0, PLAIN], [1, PLAIN]], "showscale": False, "hoverinfo": "skip"}
     shown = {"cmin": shades[0], "cmax": shades[1]} | SURFACE

@@ -7,7 +7,7 @@ import numpy as np
 
 from esfem_core.checks import Array, one_of
 from esfem_core.elements import Surface
-from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.problem import Exact, Problem, at_points
 from esfem_core.surfaces.exact_surfaces import Ellipsoid
 
 __all__ = ["Evaluation", "Solution", "baseball_bat", "oscillating_ellipsoid"]
@@ -102,16 +102,17 @@ def oscillating_ellipsoid(
         result: Array = material + phi(t) * x1 * x2 * divergence - laplacian
         return result
 
+    at_position = at_points(position)
     return Problem(
         u0=lambda x: exact_u(x, 0.0),
         f=f,
-        motion=position,
+        motion=at_position,
         exact=Exact(
-            position,
-            velocity,
-            exact_u,
-            lambda x, t: _closest_on_spheroid(x, a(t)),
-            lambda x, t: x / [np.sqrt(a(t)), 1, 1],
+            at_position,
+            at_points(velocity),
+            at_points(exact_u),
+            at_points(lambda x, t: _closest_on_spheroid(x, a(t))),
+            at_points(lambda x, t: x / [np.sqrt(a(t)), 1, 1]),
         ),
     )
 

@@ -8,18 +8,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, shown
-from esfem_core.laws import Law, Prescribed, Regularised, Species
+from esfem_core.checks import Array, finite_array, function, mapping, number, shown
+from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial
 
-__all__ = ["Exact", "Problem"]
+__all__ = ["Exact", "Problem", "at_points"]
 
 RESERVED = ("x", "v")  # names of positions and velocities
 
 
-class Exact(NamedTuple):
+class _Functions(NamedTuple):
+    x: Callable[[Array, float], Array]
+    v: Callable[[Array, float], Array]
+    u: Callable[[Array, float], Array] | None = None
+    closest: Callable[[Array, float], Array] | None = None
+    origin: Callable[[Array, float], Array] | None = None
+    fields: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType({})
+
+
+class Exact(_Functions):
     """An exact solution.
 
-    Attributes
+    Parameters
     ----------
     x : callable
         X(p, t): positions at time t, (n, 3), of points p, (n, 3), of the initial surface.
@@ -36,14 +45,32 @@ class Exact(NamedTuple):
         (n, 3), of the surface at time t.
     fields : mapping of str to callable
         As `u`, for other species and for the fields of the law.
+
+    Raises
+    ------
+    TypeError
+        If one is no function where one is needed.
     """
 
-    x: Callable[[Array, float], Array]
-    v: Callable[[Array, float], Array]
-    u: Callable[[Array, float], Array] | None = None
-    closest: Callable[[Array, float], Array] | None = None
-    origin: Callable[[Array, float], Array] | None = None
-    fields: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType({})
+    __slots__ = ()
+
+    def __new__(  # noqa: D102 - documented by the class
+        cls,
+        x: Callable[[Array, float], Array],
+        v: Callable[[Array, float], Array],
+        u: Callable[[Array, float], Array] | None = None,
+        closest: Callable[[Array, float], Array] | None = None,
+        origin: Callable[[Array, float], Array] | None = None,
+        fields: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType({}),
+    ) -> "Exact":
+        function("x", x, "X(p, t) of points (n, 3) and a time")
+        function("v", v, "v(p, t) of points (n, 3) and a time")
+        for name, value in (("u", u), ("closest", closest), ("origin", origin)):
+            if value is not None:
+                function(name, value, f"{name}(x, t) of points (n, 3) and a time, or None")
+        for name, value in mapping("fields", fields, "functions of (x, t)").items():
+            function(f"fields[{name!r}]", value, "of points (n, 3) and a time")
+        return super().__new__(cls, x, v, u, closest, origin, fields)
 
     @property
     def functions(self) -> dict[str, Callable[[Array, float], Array]]:
@@ -69,13 +96,40 @@ class Exact(NamedTuple):
         ValueError, TypeError
             If a function does not return finite real numbers of the right shape.
         """
-        x = np.array(finite_array("exact.x", self.x(nodes, t), nodes.shape))
-        v = np.array(finite_array("exact.v", self.v(nodes, t), nodes.shape))
+        x = np.array(finite_array("exact.x", self.x(nodes.copy(), t), nodes.shape))
+        v = np.array(finite_array("exact.v", self.v(nodes.copy(), t), nodes.shape))
         values = {
-            name: np.array(finite_array(f"exact.{name}", function(x, t), (len(x), "...")))
-            for name, function in self.functions.items()
+            name: _components(f"exact.{name}", given(x.copy(), t), len(x))
+            for name, given in self.functions.items()
         }
         return x, v, values
+
+
+def at_points(
+    given: Callable[[Array, float], Array],
+) -> Callable[[Array, float], Array]:
+    """A function of an exact solution that refuses what are no points or no time.
+
+    Examples
+    --------
+    >>> at_points(lambda p, t: t * p)(np.eye(3), float("nan"))
+    Traceback (most recent call last):
+        ...
+    ValueError: t must be a finite number, got nan
+    """
+
+    def checked(points: Array, t: float) -> Array:
+        return given(finite_array("points", points, ("...", 3)), number("t", t))
+
+    return checked
+
+
+def _components(name: str, values: ArrayLike, n: int) -> Array:
+    """Nodal values (n,) or (n, m), as an array of their own."""
+    found = np.array(finite_array(name, values, (n, "...")))
+    if found.ndim > 2 or found.size == 0:
+        raise ValueError(f"{name} must have shape ({n},) or ({n}, m), got {found.shape}")
+    return found
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -171,13 +225,16 @@ class Problem:
             species = {}
         else:
             _function("f", f)
+            check_initial("u0", u0)
             species = {"u": Species(u0, f, None, 1.0 if diffusivity is None else diffusivity)}
         if law is not None:
             _refuse(
                 "law is given: write it into the law", g=g, alpha=alpha, beta=beta, motion=motion
             )
             if isinstance(law, type):
-                raise TypeError(f"law must be an object, not a class: write {law.__name__}(...)")
+                raise TypeError(
+                    f"law must be an object, got {shown(law)}: write {law.__name__}(...)"
+                )
         elif motion is not None:
             _refuse(
                 "it belongs to a velocity law, but the motion is prescribed",
@@ -235,6 +292,8 @@ def _check_names(species: Mapping[str, Species], law: Law) -> None:
         raise TypeError(
             f"law must have a method velocity, see esfem_core.laws.Law; got {shown(law)}"
         )
+    if not isinstance(species, Mapping):
+        raise TypeError(f"species must be a mapping from names to Species, got {shown(species)}")
     for name, one in species.items():
         if not isinstance(name, str) or name in RESERVED:
             raise ValueError(f"a species must have a name other than x and v, got {name!r}")

@@ -9,7 +9,7 @@ from scipy.special import lambertw
 
 from esfem_core.checks import Array, number, one_of
 from esfem_core.elements import Surface
-from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.problem import Exact, Problem, at_points
 from esfem_core.surfaces import to_unit_sphere
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
 ]
 
 Coupling = Literal["smooth", "printed", "none"]
+MOST_EVALUATIONS = 100_000  # of the equation of a radius: a second of time
 
 
 def expanding_sphere(
@@ -48,6 +49,7 @@ def expanding_sphere(
     ValueError
         If `coupling` is unknown.
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
 
     def a(t: float) -> float:
         return float(np.exp(-(t**2)))
@@ -139,9 +141,9 @@ def logistic_sphere(
     >>> print(f"{np.linalg.norm(last.x, axis=1).max():.4f} {e.x_l2:.0e} {e.u_l2:.0e}")
     1.2449 5e-05 1e-05
     """
-    number("delta", delta)
-    number("limit", limit, above=0)
-    number("rate", rate, above=0)
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
+    delta, limit = number("delta", delta), number("limit", limit, above=0)
+    rate = number("rate", rate, above=0)
 
     def r(t: float) -> float:
         decay = float(np.exp(-rate * t))
@@ -189,13 +191,17 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
         With alpha = 0, its exact solution ends at t = 1/(4 beta), and asking for a later time is a
         ValueError.
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     u0 = number("u0", u0)
 
     def radius(t: float) -> float:
         square = 1 - 4 * beta * number("t", t)
         if alpha == 0:
             if square <= 0:
-                raise ValueError(f"the sphere vanishes at t = {1 / (4 * beta)}, asked for t = {t}")
+                raise ValueError(
+                    f"t must be earlier: the sphere vanishes at t = {1 / (4 * beta)}, asked for "
+                    f"t = {t}"
+                )
             return float(np.sqrt(square))
         # y + ln(y) = w with y = r^2/(2 alpha): y is Lambert's function of e^w, which overflows.
         w = square / (2 * alpha) - np.log(2 * alpha)
@@ -232,13 +238,11 @@ def growing_sphere(
     -------
     Problem
     """
+    alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
+    delta, u0 = number("delta", delta), number("u0", u0)
 
     def speed(r: float) -> float:
         return (delta * u0 - 2 * beta * r) / (r * r + 2 * alpha)
-
-    delta, u0 = number("delta", delta), number("u0", u0)
-    number("alpha", alpha, least=0)
-    number("beta", beta, least=0)
 
     @lru_cache(maxsize=4096)
     def radius(t: float) -> float:
@@ -247,11 +251,22 @@ def growing_sphere(
             return 1.0
         from scipy.integrate import solve_ivp  # a tenth of the package's start, for this alone
 
-        solution = solve_ivp(
-            lambda _, r: speed(r[0]) * np.ones(1), (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14
-        )
-        if not solution.success:
-            raise ValueError(f"no exact radius at t = {t}: {solution.message}")
+        count = 0
+
+        def rate(_: float, r: Array) -> Array:
+            nonlocal count
+            count += 1
+            if count > MOST_EVALUATIONS or not r[0] > 0:  # a radius is positive
+                reason = "no sphere is left" if count <= MOST_EVALUATIONS else "it is too far away"
+                raise ValueError(f"t must have an exact radius, but {reason} at t = {t}")
+            return speed(r[0]) * np.ones(1)
+
+        with np.errstate(all="ignore"):  # found by the test of r
+            solution = solve_ivp(rate, (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14)
+        if not (solution.success and solution.y[0, -1] > 0):
+            raise ValueError(
+                f"t must have an exact radius, but none is found at t = {t}: {solution.message}"
+            )
         return float(solution.y[0, -1])
 
     def g(at: Surface) -> Array:
@@ -270,6 +285,13 @@ def _sphere_problem(
     g: Callable[[Surface], Array] | None = None,
 ) -> Problem:
     """A sphere of radius r(t), r' = speed(r), with u = u0/r^2 constant on it."""
+
+    def u(x: Array, t: float) -> Array:
+        r = radius(t)
+        if not 0 < r * r < np.inf:
+            raise ValueError(f"t must be nearer to 0: there u = u0/r^2 is out of range, got {t}")
+        return np.full(x.shape[:-1], u0 / r**2)
+
     return Problem(
         u0=lambda x: np.full(len(x), float(u0)),
         g=g,
@@ -278,7 +300,7 @@ def _sphere_problem(
         exact=_exact_sphere(
             radius,
             lambda t: speed(radius(t)),
-            lambda x, t: np.full(x.shape[:-1], u0 / radius(t) ** 2),
+            u,
         ),
     )
 
@@ -290,9 +312,9 @@ def _exact_sphere(
 ) -> Exact:
     """The solution u on a sphere of radius r(t) that moves along its normals with r'(t)."""
     return Exact(
-        lambda p, t: radius(t) * p,
-        lambda p, t: speed(t) * p,
-        u,
-        lambda x, t: radius(t) * to_unit_sphere(x),
-        lambda x, t: to_unit_sphere(x),
+        at_points(lambda p, t: radius(t) * p),
+        at_points(lambda p, t: speed(t) * p),
+        at_points(u),
+        at_points(lambda x, t: radius(t) * to_unit_sphere(x)),
+        at_points(lambda x, t: to_unit_sphere(x)),
     )

@@ -8,6 +8,7 @@ from esfem_core.solvers.factors import DirectSolver, Factor, Solver, cholmod, su
 from esfem_core.solvers.fronts import Fronts
 from esfem_core.solvers.lagged import LaggedSolver
 from esfem_core.solvers.multifrontal import BlockFactor, factorise
+from esfem_core.solvers.systems import check_residual
 
 __all__ = [
     "BlockFactor",
@@ -17,6 +18,7 @@ __all__ = [
     "Fronts",
     "LaggedSolver",
     "Solver",
+    "check_residual",
     "cholmod",
     "dissect",
     "factorise",

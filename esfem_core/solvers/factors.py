@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from esfem_core.checks import Array, Ints
-from esfem_core.solvers.systems import right_hand_side, square
+from esfem_core.checks import Array, Ints, function, integer_array
+from esfem_core.solvers.systems import check_residual, right_hand_side, square
 
 __all__ = ["DirectSolver", "Factor", "Solver", "cholmod", "superlu"]
 
@@ -37,6 +37,8 @@ class _Reordered:
 
     def solve(self, b: Array) -> Array:
         b = right_hand_side(len(self._order), b)
+        if b.size == 0:  # CHOLMOD would end the interpreter
+            return np.zeros(b.shape)
         return self._solve(b.take(self._order, axis=0)).take(self._position, axis=0)
 
     def __repr__(self) -> str:
@@ -48,9 +50,11 @@ def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
     n = square(A)
     if order is None:
         return np.arange(n)
-    order = np.asarray(order)
+    order = integer_array("order", order, ("N",))
     if order.shape != (n,) or not np.array_equal(np.sort(order), np.arange(n)):
-        raise ValueError(f"order must hold each of the numbers 0, ..., {n - 1} of unknowns once")
+        raise ValueError(
+            f"order must hold each of the numbers 0, ..., {n - 1} of unknowns once, but does not"
+        )
     return order
 
 
@@ -127,13 +131,20 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
         If `A` is not in CSR format.
     ValueError
         If `A` is not square, or `order` is no order of its unknowns.
+    numpy.linalg.LinAlgError
+        If `A` is not positive definite.
     """
     from cholespy import CholeskySolverD, MatrixType
 
     new_order = _elimination_order(A, order)
     entries = A[new_order][:, new_order].tocoo()
     row, column = entries.row.astype(np.int32), entries.col.astype(np.int32)
-    solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+    try:
+        solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+    except (RuntimeError, ValueError) as error:
+        raise np.linalg.LinAlgError(
+            f"the matrix of a linear system must be positive definite, but is not: {error}"
+        ) from error
 
     def solve(b: Array) -> Array:
         x = np.empty_like(b)
@@ -170,7 +181,7 @@ class DirectSolver:
 
     def __init__(self, factorise: Callable[[csr_array], Factor] = superlu) -> None:
         self.factorisations = 0
-        self._factorise = factorise
+        self._factorise = function("factorise", factorise, "from a matrix to its Factor")
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b; the guess is not used.
@@ -193,12 +204,17 @@ class DirectSolver:
         ValueError
             If `A` is not square, or `b` does not fit it.
         numpy.linalg.LinAlgError
-            If the matrix is singular.
+            If the matrix is singular, or not symmetric and positive definite and the residual of
+            the answer shows it.
+        FloatingPointError
+            If `b` is not finite.
         """
         b = right_hand_side(square(A), b)
         factor = self._factorise(A)
         self.factorisations += 1
-        return factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
+        x: Array = factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
+        check_residual(A, b, x)
+        return x
 
     def __repr__(self) -> str:
         function = self._factorise

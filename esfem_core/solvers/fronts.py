@@ -399,12 +399,16 @@ class Fronts:
         batches = [batch for level in self.levels for batch in level.batches]
         return sum(batch.slots.shape[1] * (batch.own.stop - batch.own.start) for batch in batches)
 
+    @property
+    def largest(self) -> int:
+        """Rows of the largest front."""
+        return max(int(b.slots.shape[1]) for level in self.levels for b in level.batches)
+
     def __repr__(self) -> str:
-        shapes = [batch.slots.shape for level in self.levels for batch in level.batches]
-        fronts, rows = sum(count for count, _ in shapes), max(m for _, m in shapes)
+        fronts = sum(batch.slots.shape[0] for level in self.levels for batch in level.batches)
         return (
             f"Fronts(nodes={len(self.slot)}, levels={len(self.levels)}, fronts={fronts}, largest "
-            f"front={rows} x {rows}, entries of a factor per node="
+            f"front={self.largest} x {self.largest}, entries of a factor per node="
             f"{self.n_stored / len(self.slot):.1f})"
         )
 

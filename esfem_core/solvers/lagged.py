@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, number, real_array, whole_number
+from esfem_core.checks import Array, function, number, real_array, whole_number
 from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
@@ -74,7 +74,7 @@ class LaggedSolver:
         self.rtol = number("rtol", rtol, above=0, below=1)
         self.iterations = self.factorisations = 0
         self._ageing = Ageing(whole_number("price", price, least=1))
-        self._factorise = factorise
+        self._factorise = function("factorise", factorise, "from a matrix to its Factor")
         self._factor: Factor | None = None
 
     @property
@@ -111,7 +111,9 @@ class LaggedSolver:
         with np.errstate(over="ignore"):
             squares = np.vecdot(rows, rows)
         if not np.isfinite(squares).all():
-            raise FloatingPointError("the right-hand side of a linear system is not finite")
+            raise FloatingPointError(
+                "b must be finite, but the right-hand side of a linear system is not finite"
+            )
         x = np.where(squares[:, None] == 0, 0.0, guesses)
         allowed = tolerance(A, squares, self.rtol)
 

@@ -1,11 +1,14 @@
 """What a linear system A x = b is made of, checked where it comes in."""
 
+import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, real_array
 
-__all__ = ["right_hand_side", "square"]
+__all__ = ["check_residual", "right_hand_side", "square"]
+
+RESIDUAL = 1e-9  # relative to what rounding is relative to; a good factorisation gives 1e-15
 
 
 def square(A: csr_array) -> int:
@@ -55,3 +58,39 @@ def right_hand_side(n: int, b: ArrayLike) -> Array:
             f"b must have shape ({n},) or ({n}, m) beside A of shape {(n, n)}, got {columns.shape}"
         )
     return columns
+
+
+def check_residual(A: csr_array, b: Array, x: Array) -> None:
+    """Refuse x that does not solve A x = b to many digits.
+
+    ``max|b - A x|`` is compared with ``|A| max|x| + max|b|``, where ``|A|`` is the largest sum of
+    absolute values in a row: stable factorisations bring this quotient to 1e-15, also where A is
+    ill-conditioned.
+
+    Raises
+    ------
+    FloatingPointError
+        If b is not finite.
+    numpy.linalg.LinAlgError
+
+    Examples
+    --------
+    >>> check_residual(csr_array(np.eye(2)), np.ones(2), np.array([1.0, 1.1]))
+    Traceback (most recent call last):
+        ...
+    numpy.linalg.LinAlgError: no solution: x has a relative residual of 0.048 (allowed: 1e-09); A...
+    """
+    if not np.isfinite(b).all():
+        raise FloatingPointError(
+            "b must be finite, but the right-hand side of a linear system is not finite"
+        )
+    with np.errstate(all="ignore"):
+        sizes = np.add.reduceat(np.abs(A.data), A.indptr[:-1]) if A.nnz else np.zeros(1)
+        allowed = sizes.max(initial=0.0) * np.abs(x).max(initial=0.0) + np.abs(b).max(initial=0.0)
+        found = np.abs(b - A @ x).max(initial=0.0)
+        share = found / allowed if found else 0.0
+    if not share <= RESIDUAL:
+        raise np.linalg.LinAlgError(
+            f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A "
+            "must be symmetric and positive definite, but is singular, indefinite or not symmetric"
+        )

@@ -11,9 +11,11 @@ from math import comb
 
 import numpy as np
 
-from esfem_core.checks import Array, whole_number
+from esfem_core.checks import Array, real_array, shown, whole_number
 
 __all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
+
+MOST_STEPS = 100  # the coefficients are beyond 1e28 there, and no step can be made with them
 
 
 def delta(p: int) -> Array:
@@ -29,7 +31,7 @@ def delta(p: int) -> Array:
     Parameters
     ----------
     p : int
-        Order and number of steps, 1 or more. Zero-stable for p <= 6 only.
+        Order and number of steps, 1 to 100. Zero-stable for p <= 6 only.
 
     Returns
     -------
@@ -39,7 +41,7 @@ def delta(p: int) -> Array:
     Raises
     ------
     ValueError
-        If `p` is not a positive integer.
+        If `p` is not one of 1, ..., 100.
 
     Examples
     --------
@@ -60,7 +62,7 @@ def gamma(p: int) -> Array:
     Parameters
     ----------
     p : int
-        Number of values, 1 or more.
+        Number of values, 1 to 100.
 
     Returns
     -------
@@ -70,14 +72,14 @@ def gamma(p: int) -> Array:
     Raises
     ------
     ValueError
-        If `p` is not a positive integer.
+        If `p` is not one of 1, ..., 100.
 
     Examples
     --------
     >>> gamma(3)
     array([ 3., -3.,  1.])
     """
-    return np.array(_gamma(whole_number("the order p", p, 1)))
+    return np.array(_gamma(whole_number("the order p", p, 1, MOST_STEPS)))
 
 
 @lru_cache
@@ -87,7 +89,7 @@ def _gamma(p: int) -> tuple[float, ...]:
 
 def delta_exact(p: int) -> tuple[Fraction, ...]:
     """Coefficients of :func:`delta` as exact fractions."""
-    return _delta_exact(whole_number("the order p", p, 1))
+    return _delta_exact(whole_number("the order p", p, 1, MOST_STEPS))
 
 
 @lru_cache
@@ -115,7 +117,16 @@ def extrapolate(values: Sequence[Array]) -> Array:
     >>> extrapolate([np.array([4.0]), np.array([1.0]), np.array([0.0])])  # of t^2
     array([9.])
     """
-    return combine(gamma(len(values)), values)
+    if not isinstance(values, Sequence) or not len(values):
+        raise TypeError(f"values must be a sequence of arrays of one shape, got {shown(values)}")
+    arrays = [real_array(f"values[{j}]", w, ("...",)) for j, w in enumerate(values)]
+    for j, w in enumerate(arrays):
+        if w.shape != arrays[0].shape:
+            raise ValueError(
+                f"values must have one shape, but values[{j}] has {w.shape} and values[0] has "
+                f"{arrays[0].shape}"
+            )
+    return combine(gamma(len(arrays)), arrays)
 
 
 def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:

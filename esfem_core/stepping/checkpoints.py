@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, number, one_of, output_path, shown, whole_number
+from esfem_core.checks import Array, items, number, one_of, output_path, shown, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.solvers import DirectSolver, superlu
-from esfem_core.stepping.bdf import combine
+from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.scheme import Mass
@@ -72,7 +72,7 @@ def save(path: str | os.PathLike[str], states: Iterable[State] | State) -> None:
     State(t=1, nodes=66, fields: u)
     """
     file = output_path("path", path, (".npz",))
-    given = [states] if isinstance(states, State) else list(states)
+    given = [states] if isinstance(states, State) else items("states", states, State)
     _write(file, space_of(given), given)
 
 
@@ -97,9 +97,11 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
     ValueError
         If the file is damaged or another one, or of a later version.
     """
+    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
+        raise TypeError(f"path must be the path of a file, got {shown(path)}")
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"there is no file {str(path)!r}")
+        raise FileNotFoundError(f"path must be a file, but there is no file {str(path)!r}")
     try:
         header, arrays = _read(path)
         if header["kind"] != KIND:
@@ -159,10 +161,8 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
             if n % every == 0:
                 keep()
             yield state
-    except (Exception, KeyboardInterrupt):
+    finally:  # also if it fails, is interrupted, or is left with break
         keep()
-        raise
-    keep()
 
 
 def respaced(states: Sequence[State], step: float, order: int | None = None) -> list[State]:
@@ -209,10 +209,10 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     [0.8, 0.9]
     >>> *_, last = ec.evolve(space, problem, order=2, step=0.1, end=1.0, start=start)
     """
-    given = list(states)
+    given = items("states", states, State)
     space = space_of(given)
     step = number("step", step, above=0)
-    p = None if order is None else whole_number("order", order, 1)
+    p = None if order is None else whole_number("order", order, 1, MOST_STEPS)
     nearest = MOST + 1 if p is None else p + 1
     times = [given[-1].t]
     while len(times) < (p or MOST) and later(times[-1], -step) > given[0].t - SAME_TIME * step:
@@ -287,13 +287,11 @@ def _lagrange(times: Array, t: float) -> list[float]:
 
 def space_of(states: Sequence[State]) -> SurfaceSpace:
     """The space of states that fit together."""
-    if not states:
-        raise ValueError("states must hold at least one state, got none")
-    for i, state in enumerate(states):
-        if not isinstance(state, State):
-            raise TypeError(f"states[{i}] must be a State, got {shown(state)}")
+    for i, state in enumerate(items("states", states, State)):
         if state.space is None:
-            raise ValueError(f"states[{i}] knows no space: State(..., space=space)")
+            raise ValueError(
+                f"states[{i}] must know its space, but has none: State(..., space=space)"
+            )
     first = states[0]
     space = first.space
     assert space is not None

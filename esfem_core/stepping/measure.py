@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, shown
+from esfem_core.checks import Array, object_of
 from esfem_core.stepping.state import State
 
 __all__ = ["Measures", "measure"]
@@ -70,8 +70,7 @@ def measure(state: State) -> Measures:
     >>> print(f"t = {m.t:g}: area {m.area:.3f}, volume {m.volume:.3f}, u {m.amount:.3f}")
     t = 0.5: area 19.949, volume 8.378, u 50.261
     """
-    if not isinstance(state, State):
-        raise TypeError(f"state must be a State, got {shown(state)}")
+    object_of("state", state, State)
     at = state.surface()
     area = float(at.integral(1.0))
     centre = at.integral(at.points) / area

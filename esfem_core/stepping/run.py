@@ -9,11 +9,27 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from esfem_core.checks import Array, number, one_of, output_path, shown, whole_number
+from esfem_core.checks import (
+    flag,
+    function,
+    number,
+    object_of,
+    one_of,
+    output_path,
+    shown,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, cholmod, factorise, superlu
+from esfem_core.stepping.agreement import (
+    check_exact,
+    check_motion_of_start,
+    check_slip,
+    check_start_of_motion,
+)
+from esfem_core.stepping.bdf import MOST_STEPS
 from esfem_core.stepping.checkpoints import saving
 from esfem_core.stepping.guard import EvolutionWarning, Guard
 from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
@@ -27,7 +43,6 @@ __all__ = ["MASSES", "evolve"]
 SolverName = Literal["lagged", "cholmod", "direct"]
 StartName = Literal["exact", "euler"]
 MASSES: tuple[Mass, ...] = get_args(Mass)
-AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
 
 
 def evolve(
@@ -101,7 +116,8 @@ def evolve(
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
         "lagged": conjugate gradients to a relative residual of 1e-11, preconditioned with a
-        factorisation by :mod:`esfem_core.solvers.multifrontal` that is kept for many steps.
+        factorisation by :mod:`esfem_core.solvers.multifrontal` that is kept for many steps (by
+        SuperLU on meshes of long triangles or hubs, where a front would be large).
         "cholmod": the same with the factorisation of CHOLMOD (extra ``fast``). "direct": a sparse
         factorisation in every step. Otherwise a function without arguments that makes a
         :class:`esfem_core.solvers.factors.Solver`, called for each kind of system, such as
@@ -163,15 +179,17 @@ def evolve(
     >>> print(f"{radius.mean():.4f} {np.linalg.norm(problem.exact.x(space.nodes, 1.0)[0]):.4f}")
     1.4314 1.4314
     """
-    if not isinstance(space, SurfaceSpace):
-        raise TypeError(f"space must be a SurfaceSpace, got {shown(space)}")
-    if not isinstance(problem, Problem):
-        raise TypeError(f"problem must be a Problem, got {shown(problem)}")
-    order = _checked_order(order, allow_unstable)
+    object_of("space", space, SurfaceSpace)
+    object_of("problem", problem, Problem)
+    order = _checked_order(order, flag("allow_unstable", allow_unstable))
     step = number("step", step, above=0)
     one_of("mass", mass, Mass)
-    if growth != np.inf:
-        number("growth", growth, above=1)
+    if not (isinstance(growth, float) and growth == np.inf):
+        growth = number("growth", growth, above=1)
+    if perturbation is not None:
+        function("perturbation", perturbation, "perturbation(n) of the number of a step, or None")
+    if statistics is not None:
+        object_of("statistics", statistics, Statistics, "or None")
     every = whole_number("every", every, 1)
     file = None if save is None else output_path("save", save, (".npz",))
     make_solver = _solver_factory(space, solver)
@@ -179,12 +197,17 @@ def evolve(
     n_steps = _steps_after_start(given, order, step, end)
     _check_law(space, problem, order)
     if isinstance(given, list):
-        _check_motion_of_start(space, problem, given[-1])
-    systems = Systems(make_solver, space.pattern, statistics or Statistics())
+        check_motion_of_start(space, problem, given[-1])
+    systems = Systems(
+        make_solver, space.pattern, Statistics() if statistics is None else statistics
+    )
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
     for name, values in first.fields.items():
         scheme.fixed(name, first.x, first.t, values)  # refused here, not in the first step
+    if isinstance(given, str) and problem.exact is not None:
+        check_exact(space, problem, step)
+    check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     return states if file is None else saving(states, file, every, order)
@@ -200,39 +223,44 @@ def _run(
     guard: Guard,
 ) -> Iterator[State]:
     states: list[State] = []
-    for state in _starting_states(scheme, order, step, given, guard):
+    early = [0.0, *(t for _, t in _times(0.0, step, 1, order - 1, end if n_steps == 0 else None))]
+    for state in _starting_states(scheme, early, step, given, guard):
         states.append(state)
         yield state
-    times, t = [], states[-1].t
+    t = states[-1].t
     first = 1 + (order - 1 if isinstance(given, str) else round(t / step))
+    yield from scheme.steps(order, step, states, _times(t, step, first, n_steps, end), guard)
+
+
+def _times(
+    t: float, step: float, first: int, n_steps: int, end: float | None
+) -> Iterator[tuple[int, float]]:
+    """Numbers and times of steps; the last time is `end` itself."""
     for n in range(first, first + n_steps):
         t = later(t, step)
-        times.append((n, t))
-    if times:
-        times[-1] = (times[-1][0], float(end))
-    yield from scheme.steps(order, step, states, times, guard)
+        yield n, float(end) if end is not None and n == first + n_steps - 1 else t
 
 
 def _starting_states(
-    scheme: Scheme, order: int, step: float, given: StartName | list[State], guard: Guard
+    scheme: Scheme, times: list[float], step: float, given: StartName | list[State], guard: Guard
 ) -> Iterator[State]:
     if given == "exact":
-        yield from exact_starts(scheme.space, scheme.problem, order, step)
+        yield from exact_starts(scheme.space, scheme.problem, times)
     elif given == "euler":
         updated = Scheme(
             scheme.space, scheme.problem, "updated", scheme.systems, scheme.perturbation
         )
-        yield from euler_states(updated, order, step, guard)
+        yield from euler_states(updated, times, step, guard)
     else:
         yield from given
 
 
 def _checked_order(order: int, allow_unstable: bool) -> int:
-    order = whole_number("order", order, 1)
+    order = whole_number("order", order, 1, MOST_STEPS)
     if order >= 7 and not allow_unstable:
         raise ValueError(
-            f"BDF{order} is not zero-stable: its errors grow exponentially with the number of "
-            "steps; pass allow_unstable=True to see it fail"
+            f"order must be 6 at most, got {order}: BDF{order} is not zero-stable, its errors grow "
+            "exponentially with the number of steps; pass allow_unstable=True to see it fail"
         )
     if order == 6:
         warnings.warn(
@@ -307,7 +335,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
     n_steps = count_steps(0.0, step, end) - (order - 1)
     if n_steps < 0:
         raise ValueError(
-            f"end must be at least (p - 1) step = {(order - 1) * step:g} for p = {order}, "
+            f"end must be at least (p - 1) step = {(order - 1) * step:g} for order p = {order}, "
             f"got {end!r}"
         )
     return n_steps
@@ -316,7 +344,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
 def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
     law: object = problem.law
     if hasattr(law, "position"):
-        _check_start_of_motion(space, law.position)
+        check_start_of_motion(space, law.position)
     elif len(space.boundary_nodes):
         raise ValueError(
             f"law must prescribe the motion of a surface with a boundary, got {law!r}: an equation "
@@ -327,37 +355,6 @@ def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
         law = law.law
     if isinstance(law, Regularised) and law.alpha == 0 < law.beta:
         _warn_of_no_alpha(space, order)
-
-
-def _check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -> None:
-    x = position(space.nodes, 0.0, (0.0, space.nodes))
-    size = float(np.abs(space.nodes - space.nodes.mean(axis=0)).max())
-    distance = np.linalg.norm(x - space.nodes, axis=1)
-    worst = int(np.argmax(distance))
-    if not distance[worst] <= AT_START * size:
-        raise ValueError(
-            "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
-            f"{x[worst].tolist()} for the node p = {space.nodes[worst].tolist()}; a velocity "
-            "goes into laws.Prescribed(velocity=v), and new triangles know the initial surface by "
-            "remeshed(states, h, problem)"
-        )
-
-
-def _check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) -> None:
-    """Refuse states whose nodes are not where a prescribed motion has them."""
-    law: object = problem.law
-    if not hasattr(law, "position"):
-        return
-    x = law.position(space.nodes, last.t, (last.t, last.x))
-    size = float(np.abs(last.x - last.x.mean(axis=0)).max())
-    distance = np.linalg.norm(x - last.x, axis=1)
-    worst = int(np.argmax(distance))
-    if not distance[worst] <= AT_START * size:
-        raise ValueError(
-            f"start must hold states of this motion, but node {worst} is at "
-            f"{last.x[worst].tolist()}, while X(p, t) = {x[worst].tolist()} at t = {last.t:g}; new "
-            "triangles know the initial surface by remeshed(states, h, problem)"
-        )
 
 
 def _warn_of_no_alpha(space: SurfaceSpace, order: int) -> None:
@@ -381,7 +378,7 @@ def _solver_factory(
 ) -> Callable[[], Solver]:
     if callable(solver):
         return solver
-    if solver not in get_args(SolverName):
+    if not isinstance(solver, str) or solver not in get_args(SolverName):
         raise ValueError(
             f'solver must be "lagged", "cholmod", "direct" or a function that makes one, got '
             f"{shown(solver)}"

@@ -10,24 +10,23 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array
+from esfem_core.checks import Array, finite_array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
-from esfem_core.stepping.state import EvolutionError, Method, State
+from esfem_core.stepping.state import EvolutionError, Mass, Method, State
 from esfem_core.stepping.systems import GUESS, Systems, stacked
 
 __all__ = ["Mass", "Perturbation", "Scheme"]
 
-Mass = Literal["updated", "extrapolated", "reassembled"]
 Perturbation = Callable[[int], Mapping[str, Array] | tuple[Array, Array, Array]]
 Functions = dict[str, Array]
 
@@ -147,8 +146,8 @@ class Scheme:
         """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
         _, order, step = method
         d = delta(order)
-        law, extra = self.problem.law, self._extra(n)
         fields = {name: extrapolate(values) for name, values in history.functions.items()}
+        law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
         x_past = combine(d[1:], history.x)
         given = None
         if hasattr(law, "position"):
@@ -170,6 +169,8 @@ class Scheme:
             own = law.equations(tau, past)
         levels = _Levels(history, d, step, at, w, extra)
         functions, products = self._diffuse(own, levels, at.M, at.x)
+        for array in functions.values():
+            array.setflags(write=False)  # the law sees them
         solve = self._law_solver(extra.get("v"))
         v = law.velocity(at, dict(functions), tau, past, solve)
         v = np.array(finite_array("the velocity of the law", v, at.x.shape))
@@ -246,14 +247,29 @@ class Scheme:
 
         return solve
 
-    def _extra(self, n: int) -> Mapping[str, Array]:
-        """Perturbations of step n by name."""
+    def _extra(self, n: int, shapes: Mapping[str, tuple[int, ...]]) -> Mapping[str, Array]:
+        """Perturbations of step n by name, of these shapes."""
         if self.perturbation is None:
             return {}
-        given = self.perturbation(n)
-        if not isinstance(given, Mapping):
+        given: object = self.perturbation(n)
+        if isinstance(given, tuple | list) and len(given) == 3:
             given = dict(zip("uvx", given, strict=True))
-        return given
+        if not isinstance(given, Mapping):
+            raise TypeError(
+                "perturbation must return three vectors (r_u, r_v, r_x) or a mapping from names "
+                f"to vectors, but perturbation({n}) returned {shown(given)}"
+            )
+        known = {"v": self.space.nodes.shape, "x": self.space.nodes.shape, **shapes}
+        for name in given:
+            if name not in known:
+                raise ValueError(
+                    f"perturbation must be of {', '.join(map(repr, known))}, but perturbation({n}) "
+                    f"returned one of {name!r}"
+                )
+        return {
+            name: finite_array(f"perturbation({n})[{name!r}]", vector, known[name])
+            for name, vector in given.items()
+        }
 
 
 @dataclass

@@ -1,14 +1,13 @@
 """Starting values: exact ones, or of order p by extrapolated Euler steps."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from esfem_core.checks import Array, number
+from esfem_core.checks import Array, number, object_of
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import Guard
-from esfem_core.stepping.scheme import Scheme
+from esfem_core.stepping.scheme import Scheme, naming_the_step
 from esfem_core.stepping.state import State
-from esfem_core.stepping.times import later
 
 __all__ = ["euler_states", "exact_starts", "exact_state", "initial_state"]
 
@@ -43,33 +42,44 @@ def exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
     >>> print(f"{np.linalg.norm(state.x, axis=1).max():.2f}")
     1.50
     """
+    object_of("space", space, SurfaceSpace)
     t = number("t", t)
-    if problem.exact is None:
-        raise ValueError("this needs a problem with an exact solution: Problem(..., exact=...)")
-    x, v, fields = problem.exact.nodal(space.nodes, t)
+    exact = object_of("problem", problem, Problem).exact
+    if exact is None:
+        raise ValueError(
+            "problem must have an exact solution, but has none: Problem(..., exact=Exact(...))"
+        )
+    x, v, fields = exact.nodal(space.nodes, t)
     return State(t, x, v, space=space, fields=fields)
 
 
-def exact_starts(space: SurfaceSpace, problem: Problem, order: int, step: float) -> Iterator[State]:
-    """Exact states at 0, step, ..., (order - 1) step, without velocities."""
-    t = 0.0
-    for _ in range(order):
+def exact_starts(space: SurfaceSpace, problem: Problem, times: Sequence[float]) -> Iterator[State]:
+    """Exact states at some times, without velocities."""
+    for t in times:
         state = exact_state(space, problem, t)
         fields = {name: state[name] for name in problem.all_species}
         yield State(t, state.x, None, space=space, fields=fields)
-        t = later(t, step)
 
 
 def initial_state(space: SurfaceSpace, problem: Problem) -> State:
     """The initial values on the initial surface."""
     values = problem.initial_values(space.nodes)
     if len(values) < len(problem.all_species):
-        values |= problem.law.initial(Surface(space, space.nodes))
+        law = problem.law
+        values |= law.initial(Surface(space, space.nodes)) if hasattr(law, "initial") else {}
+    for name in problem.all_species:
+        if name not in values:
+            raise ValueError(
+                f"{name!r} must have initial values, but its Species has None and the law makes "
+                "none: Species(initial, ...)"
+            )
     fields = {name: values[name] for name in problem.all_species}
     return State(0.0, space.nodes, None, space=space, fields=fields)
 
 
-def euler_states(scheme: Scheme, order: int, step: float, guard: Guard) -> Iterator[State]:
+def euler_states(
+    scheme: Scheme, times: Sequence[float], step: float, guard: Guard
+) -> Iterator[State]:
     """Starting values of order p: Euler with step/1, ..., step/p, extrapolated to step 0.
 
     The error of a one-step method has an expansion in powers of the step. Euler with updated mass
@@ -81,31 +91,34 @@ def euler_states(scheme: Scheme, order: int, step: float, guard: Guard) -> Itera
     ----------
     scheme : Scheme
         With ``mass="updated"``.
-    order : int
-        p.
+    times : sequence of p floats
+        0, step, ..., (p - 1) step.
     step : float
     guard : Guard
 
     Yields
     ------
     State
-        At 0, step, ..., (p - 1) step, each when it is known.
+        At these times, each when it is known.
     """
+    order = len(times)
     last = initial_state(scheme.space, scheme.problem)
     yield last
-    for n in range(1, order):
-        end = later(last.t, step)
+    for n, end in enumerate(times[1:], start=1):
         rows: list[Values] = []  # Aitken-Neville, one row per number of substeps
         for m in range(1, order + 1):
-            times = ((n, last.t + i * step / m) for i in range(1, m))
-            *_, euler = scheme.steps(1, step / m, [last], (*times, (n, end)), guard)
+            parts = ((n, last.t + i * step / m) for i in range(1, m))
+            *_, euler = scheme.steps(1, step / m, [last], (*parts, (n, end)), guard)
             row = [{"x": euler.x, **euler.fields, **euler.products}]
             for i, old in enumerate(rows, start=1):
                 ratio = m / (m - i) - 1
                 new = row[-1]
                 row.append({key: new[key] + (new[key] - old[key]) / ratio for key in new})
             rows = row
-        last = _state(scheme, end, rows[-1], euler)
+        with naming_the_step(n, end):
+            last = _state(scheme, end, rows[-1], euler)
+            guard.check_surface(last.x)
+            guard.check_functions(last.x, last.fields)
         yield last
 
 

@@ -3,15 +3,27 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, number, real_array, shown
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    mapping,
+    number,
+    object_of,
+    one_of,
+    real_array,
+    shown,
+    whole_number,
+)
 from esfem_core.elements import Surface, SurfaceSpace
 
-__all__ = ["EvolutionError", "State", "check_state", "same_space"]
+__all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
 
 
+Mass = Literal["updated", "extrapolated", "reassembled"]
 Method = tuple[str, int, float]
 
 
@@ -74,26 +86,35 @@ class State:
         products: Mapping[str, Array] | None = None,
         method: Method | None = None,
     ) -> None:
-        given = dict(fields or {})
+        given = {} if fields is None else dict(mapping("fields", fields, "nodal values"))
+        kept = {} if products is None else mapping("products", products, "nodal vectors")
         if u is not None:
             if "u" in given:
-                raise ValueError("u is given twice: as u and in fields")
+                raise ValueError(
+                    "u must be given once, but is given as u and in fields; "
+                    "dataclasses.replace(state, fields={**state.fields, 'u': u}) changes it"
+                )
             given["u"] = u
+        x = real_array("x", x, ("N", 3))
+        n = len(x)
+        if space is not None:
+            n = len(object_of("space", space, SurfaceSpace, "or None").nodes)
+            x = real_array("x", x, (n, 3))
         values = {
             "t": number("t", t),
-            "x": _frozen(real_array("x", x, ("N", 3))),
-            "v": None if v is None else _frozen(real_array("v", v, ("N", 3))),
+            "x": _frozen(x),
+            "v": None if v is None else _frozen(real_array("v", v, (n, 3))),
             "space": space,
             "fields": MappingProxyType(
-                {name: _frozen(real_array(name, w, ("N", "..."))) for name, w in given.items()}
+                {name: _frozen(real_array(name, w, (n, "..."))) for name, w in given.items()}
             ),
             "products": MappingProxyType(
                 {
-                    name: _frozen(real_array(f"products[{name!r}]", w, ("N", "...")))
-                    for name, w in (products or {}).items()
+                    name: _frozen(real_array(f"products[{name!r}]", w, (n, "...")))
+                    for name, w in kept.items()
                 }
             ),
-            "method": method,
+            "method": None if method is None else _checked_method(method),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -123,8 +144,20 @@ class State:
     def surface(self) -> Surface:
         """Return the surface with all functions on it, for integrals and pictures."""
         if self.space is None:
-            raise ValueError("this state knows no space: State(..., space=space)")
+            raise ValueError("state must know its space, but has none: State(..., space=space)")
         return Surface(self.space, self.x, self.fields, self.t)
+
+
+def _checked_method(method: object) -> Method:
+    """Mass, order and step."""
+    if not isinstance(method, tuple) or len(method) != 3:
+        raise TypeError(f"method must be a triple (mass, order, step), got {shown(method)}")
+    mass, order, step = method
+    return (
+        one_of("the mass of method", mass, Mass),
+        whole_number("the order of method", order, 1),
+        number("the step of method", step, above=0),
+    )
 
 
 def _rebuild(
@@ -171,13 +204,13 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
-    >>> check_state(space, State(0.0, space.nodes, None, space.nodes[:5, 0]))
+    >>> check_state(space, State(0.0, space.nodes[:5], None, space.nodes[:5, 0]))
     Traceback (most recent call last):
         ...
-    ValueError: state.u must have shape (6,) or (6, m), got (5,)
+    ValueError: state.x must have shape (6, 3), got (5, 3)
     """
-    if not isinstance(state, State):
-        raise TypeError(f"{name} must be a State, got {shown(state)}")
+    object_of("space", space, SurfaceSpace)
+    object_of(name, state, State)
     if not (state.space is None or same_space(state.space, space)):
         raise ValueError(
             f"{name} must be a state of this space, {space!r}, but it is one of {state.space!r}"

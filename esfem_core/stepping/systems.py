@@ -6,8 +6,8 @@ from collections.abc import Callable, Hashable, Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array
-from esfem_core.solvers import Solver
+from esfem_core.checks import Array, real_array, shown
+from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, check_residual
 from esfem_core.stepping.bdf import extrapolate
 
 __all__ = ["Statistics", "Systems"]
@@ -83,9 +83,14 @@ class Systems:
         solvers, solves = self._statistics.solvers, self._statistics.solves
         if kind not in self._solutions:  # of this run
             self._solutions[kind] = deque(maxlen=GUESS)
-            solvers[kind], solves[kind] = self._make(), 0
+            solvers[kind], solves[kind] = _checked_solver(self._make()), 0
         solves[kind] += 1
-        return solvers[kind].solve(self._conforming(K), b, guess)
+        K = self._conforming(K)
+        w = solvers[kind].solve(K, b, guess)
+        if not isinstance(solvers[kind], DirectSolver | LaggedSolver):  # these test their own
+            w = real_array("what the solver returns", w, b.shape)
+            check_residual(K, b, w)
+        return w
 
     def solve_again(self, kind: str, K: csr_array, b: Array) -> Array:
         """Solve K w = b from what the last solutions of this kind let one expect."""
@@ -113,6 +118,15 @@ class Systems:
             )
         np.add.at(full.data, at, entries.data)
         return full
+
+
+def _checked_solver(solver: Solver) -> Solver:
+    if isinstance(solver, type) or not callable(getattr(solver, "solve", None)):
+        raise TypeError(
+            "solver must be a function that makes an object with a method solve(A, b, guess), but "
+            f"it returned {shown(solver)}"
+        )
+    return solver
 
 
 def _same_places(K: csr_array, pattern: csr_array) -> bool:

@@ -8,6 +8,7 @@ __all__ = ["count_steps", "later"]
 
 LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
 TOLERANCE = 1e-9
+ROUNDING = 1e-12  # of a time: however long the step, a later end is not reached by no step
 
 
 def later(t: float, step: float) -> float:
@@ -46,11 +47,14 @@ def count_steps(start: float, step: float, end: float) -> int:
     step, end = number("step", step, above=0), number("end", end)
     quotient = (end - start) / step
     if not quotient < 2.0**53:
-        raise ValueError(f"step is too small: end/step is {quotient:.3g}, got step = {step!r}")
+        raise ValueError(
+            f"step must be larger: end/step is {quotient:.3g}, too many steps, got {step!r}"
+        )
     n_steps = round(quotient)
     if n_steps < 0:
         raise ValueError(f"end must not be before the start at t = {start!r}, got {end!r}")
-    if abs(quotient - n_steps) > TOLERANCE * max(1, n_steps):
+    nothing = n_steps == 0 and abs(end - start) > ROUNDING * max(abs(start), abs(end))
+    if nothing or abs(quotient - n_steps) > TOLERANCE * max(1, n_steps):
         between = f"({end!r} - {start!r})/{step!r}" if start else f"{end!r}/{step!r}"
         raise ValueError(f"end/step must be an integer, got {between} = {quotient!r}")
     return n_steps

@@ -8,7 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, real_array, whole_number
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    function,
+    items,
+    iterable,
+    mapping,
+    number,
+    object_of,
+    real_array,
+    string,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace
 from esfem_core.errors import Errors, Measure, compare, difference, lifted
 from esfem_core.problems import Problem
@@ -26,10 +38,11 @@ def final(states: Iterable[State]) -> State:
     ValueError
         If there are no states.
     """
+    iterable("states", states, "States")
     last = deque(states, maxlen=1)
     if not last:
-        raise ValueError("there are no states")
-    return last[0]
+        raise ValueError("states must hold at least one, got none")
+    return object_of("the last of states", last[0], State)
 
 
 def observed_orders(sizes: ArrayLike, values: ArrayLike) -> Array:
@@ -58,7 +71,7 @@ def observed_orders(sizes: ArrayLike, values: ArrayLike) -> Array:
     array([2., 2.])
     """
     h = finite_array("sizes", sizes, ("n",))
-    e = real_array("values", values, (len(h),))
+    e = real_array("values (one for each of sizes)", values, (len(h),))
     if np.any(h <= 0) or np.any(h[1:] == h[:-1]):
         raise ValueError(f"sizes must be positive, neighbours different, got {h.tolist()}")
     if np.any(e < 0):
@@ -92,7 +105,12 @@ class ConvergenceTable:
 
     def __post_init__(self) -> None:
         sizes = finite_array("sizes", self.sizes, ("n",))
-        columns = {n: real_array(n, e, (len(sizes),)) for n, e in self.errors.items()}
+        string("parameter", self.parameter)
+        errors = mapping("errors", self.errors, "one number for each size")
+        columns = {
+            n: real_array(f"errors[{n!r}] (one for each of sizes)", e, (len(sizes),))
+            for n, e in errors.items()
+        }
         object.__setattr__(self, "sizes", sizes)
         object.__setattr__(self, "errors", columns)
 
@@ -279,14 +297,16 @@ def time_study(
         0.025   9.40e-06
        0.0125   1.08e-06       3.12
     """
-    order, taus = whole_number("order", order, 1), _sizes("steps", steps)
+    order, taus, end = whole_number("order", order, 1), _sizes("steps", steps), number("end", end)
+    if reference is not None:
+        object_of("reference", reference, State, "or None")
     starts: list[dict[str, Any]] = [{} for _ in taus]
     if fine is not None:
         if reference is not None or "start" in options:
             raise ValueError("fine gives the reference and the starting values: leave those out")
-        if not fine or abs(fine[-1].t - end) > 1e-9 * max(1.0, abs(end)):
-            found = f"at t = {fine[-1].t:g}" if fine else "with no state"
-            raise ValueError(f"fine must end at t = {end:g}, but ends {found}")
+        items("fine", fine, State, 2)
+        if abs(fine[-1].t - end) > 1e-9 * max(1.0, abs(end)):
+            raise ValueError(f"fine must end at t = {end:g}, but ends at t = {fine[-1].t:g}")
         reference = fine[-1]
         starts = [{"start": _every(fine, tau)[:order]} for tau in taus]
     _check_comparable(problem, reference, measure)
@@ -308,8 +328,6 @@ def time_study(
 
 def _every(fine: Sequence[State], tau: float) -> Sequence[State]:
     """States of a run, tau apart."""
-    if len(fine) < 2:
-        raise ValueError("fine must hold at least two states")
     step = number("the step of fine", fine[1].t - fine[0].t, above=0)
     k = round(tau / step)
     if k < 1 or abs(tau - k * step) > 1e-9 * tau:
@@ -363,7 +381,8 @@ def space_study(
        0.5774   0.00e+00              2.32e-02
        0.3015   0.00e+00          –   8.16e-03       1.61
     """
-    sizes = _sizes("mesh sizes", [space.mesh_size(space.nodes) for space in spaces])
+    spaces = items("spaces", spaces, SurfaceSpace)
+    sizes = [space.mesh_size(space.nodes) for space in spaces]
     _check_comparable(problem, None, measure)
     runs = [evolve(space, problem, order, step, end, **options) for space in spaces]
     return ConvergenceTable.of(
@@ -376,10 +395,14 @@ def space_study(
 def _sizes(name: str, values: ArrayLike) -> list[float]:
     sizes: list[float] = finite_array(name, values, ("n",)).tolist()
     if not sizes:
-        raise ValueError(f"a study needs at least one of the {name}, got none")
+        raise ValueError(f"{name} must hold at least one number, got none")
+    if min(sizes) <= 0:
+        raise ValueError(f"{name} must be positive, got {sizes}")
     return sizes
 
 
 def _check_comparable(problem: Problem, reference: State | None, measure: Measure) -> None:
+    function("measure", measure, "measure(space, problem, state)")
+    object_of("problem", problem, Problem)
     if reference is None and problem.exact is None and measure in (compare, lifted):
-        raise ValueError("the problem has no exact solution to compare with")
+        raise ValueError("problem must have an exact solution to compare with, but has none")

@@ -12,7 +12,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Bools, finite_array, number
 from esfem_core.surfaces.differences import derivative
-from esfem_core.surfaces.level_set import Field, central_gradient, project_to_level_set
+from esfem_core.surfaces.level_set import Field, checked_gradient, project_to_level_set
 
 __all__ = ["Ellipsoid", "ExactSurface", "LevelSet", "Near", "Sphere", "Torus"]
 
@@ -144,7 +144,7 @@ class Torus(ExactSurface):
     def __post_init__(self) -> None:
         R, r = number("R", self.R, above=0), number("r", self.r, above=0)
         if r >= R:
-            raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
+            raise ValueError(f"R must be larger than r, got R = {R:g} and r = {r:g}")
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "r", r)
 
@@ -254,11 +254,15 @@ class LevelSet(ExactSurface):
     d: Field
     gradient: Field | None = None
 
+    def __post_init__(self) -> None:
+        checked_gradient(self.d, self.gradient)
+
     def near(self, x: Array) -> Near:  # noqa: D102
-        shape = np.shape(finite_array("x", x, ("...", 3)))
-        x = np.reshape(x, (-1, 3))
+        x = finite_array("x", x, ("...", 3))
+        shape = x.shape
+        x = x.reshape(-1, 3)
         points = project_to_level_set(self.d, self.gradient)(x)
-        gradient = (self.gradient or central_gradient(self.d))(points)
+        gradient = checked_gradient(self.d, self.gradient)(points)
         size = np.linalg.norm(gradient, axis=-1, keepdims=True)
         normal = gradient / size
         P = np.eye(3) - _outer(normal)
@@ -296,4 +300,7 @@ def _outer(n: Array) -> Array:
 def _refuse(x: Array, bad: Bools, surface: str) -> None:
     if np.any(bad):
         point = x[bad][0].tolist()
-        raise ValueError(f"{point} is too far from the {surface} to have a unique closest point")
+        raise ValueError(
+            f"x must be near the {surface}, but {point} is too far from the {surface} to have a "
+            "unique closest point"
+        )

@@ -128,7 +128,7 @@ def read_mesh(
     scale, unit = _scale(found, unit)
     made = trimesh.Trimesh(scale * vertices, faces, process=False)
     made.units = unit
-    if report:
+    if report is not None:
         finite = vertices[np.isfinite(vertices).all(axis=1)]
         size = (
             " x ".join(f"{scale * n:.3g}" for n in np.ptp(finite, axis=0)) if len(finite) else "?"
@@ -222,7 +222,7 @@ def _elements(source: Any) -> Elements:
 
 def _of_file(path: Path) -> Elements:
     if not path.is_file():
-        raise FileNotFoundError(f"there is no file {str(path)!r}")
+        raise FileNotFoundError(f"source must be a file, but there is no file {str(path)!r}")
     kind = path.suffix.lower().lstrip(".")
     said = io.StringIO()
     try:

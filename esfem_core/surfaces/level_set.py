@@ -8,16 +8,24 @@ from collections.abc import Callable
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.checks import Array, finite_array, function, real_array
 from esfem_core.surfaces.differences import derivative
 
-__all__ = ["Field", "central_gradient", "checked_values", "descend", "project_to_level_set"]
+__all__ = [
+    "Field",
+    "central_gradient",
+    "checked_gradient",
+    "checked_values",
+    "descend",
+    "project_to_level_set",
+]
 
 Field = Callable[[Array], Array]
 
 MAX_STEPS = 50
 ON_SURFACE = 1e-13  # accepted distance from the surface, relative to the coordinates
 CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
+FAR = 10  # sizes of the surface from the origin
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
 
 
@@ -50,15 +58,16 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     array([[2., 0., 0.],
            [0., 0., 1.]])
     """
-    gradient = central_gradient(d) if gradient is None else gradient
+    checked_gradient(d, gradient)
 
     def project(points: Array) -> Array:
         x = finite_array("points", points, ("n", 3))
         scale = _scale(x)
-        y = descend(d, gradient, x)
+        slope = checked_gradient(d, gradient, float(np.ptp(x, axis=0).max()) if len(x) else None)
+        y = descend(d, slope, x)
         todo = np.arange(len(x))
         for _ in range(MAX_STEPS):
-            g = checked_values(gradient, y[todo], (3,), "gradient")
+            g = checked_values(slope, y[todo], (3,), "gradient")
             n = g / np.linalg.norm(g, axis=1, keepdims=True)
             off = x[todo] - y[todo]
             tangential = off - (off * n).sum(axis=1, keepdims=True) * n
@@ -66,13 +75,23 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
             todo, tangential = todo[far], tangential[far]
             if len(todo) == 0:
                 return y
-            y[todo] = descend(d, gradient, y[todo] + tangential)
+            y[todo] = descend(d, slope, y[todo] + tangential)
         raise ValueError(
-            f"no closest point found for {x[todo[0]].tolist()} ({len(todo)} such points): it is "
-            "too far from the surface for its curvature"
+            f"points must be near the surface, but no closest point was found for "
+            f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
+            "its curvature"
         )
 
     return project
+
+
+def checked_gradient(d: Field, gradient: Field | None, size: float | None = None) -> Field:
+    """The gradient of d: the given one, or differences; size as for `central_gradient`."""
+    function("d", d, "of points (n, 3)")
+    if gradient is None:
+        return central_gradient(d, size)
+    function("gradient", gradient, "of points (n, 3), or None")
+    return gradient
 
 
 def descend(d: Field, gradient: Field, points: Array) -> Array:
@@ -109,12 +128,15 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         square = (g * g).sum(axis=1)
         if not (square > 0).all():
             i = todo[np.argmin(square)]
-            raise ValueError(f"the gradient of d vanishes at {x[i].tolist()}")
+            raise ValueError(f"the gradient of d must not vanish, but is zero at {x[i].tolist()}")
         step = -(value / square)[:, None] * g
         x[todo] += step
         todo = todo[np.linalg.norm(step, axis=1) > ON_SURFACE * scale]
         if len(todo) == 0:
             return x
+    last = checked_values(d, x[todo], (), "d")
+    if last.any() and np.array_equal(last, last.astype(np.float32)):
+        raise ValueError(_in_single_precision("numbers of single precision"))
     raise ValueError(
         f"Newton's method does not reach the surface from {start[todo[0]].tolist()} "
         f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
@@ -122,8 +144,24 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
     )
 
 
-def central_gradient(d: Field) -> Field:
+def _in_single_precision(found: str) -> str:
+    return (
+        f"values of d must be of double precision, got {found}: they jitter by 1e-7, and no point "
+        "can be put on the surface to 1e-13 with them; d gets points of type float64 and must "
+        "compute in it"
+    )
+
+
+def central_gradient(d: Field, size: float | None = None) -> Field:
     """Gradient of a function by central differences, with a relative error of about 1e-10.
+
+    Parameters
+    ----------
+    d : callable
+        (n, 3) -> (n,).
+    size : float, optional
+        Of the surface: far from the origin the values of d carry the rounding errors of the
+        coordinates, and the step of the differences must be larger against the surface.
 
     Examples
     --------
@@ -139,7 +177,10 @@ def central_gradient(d: Field) -> Field:
             moved = x + s * np.eye(3)[:, None]
             return checked_values(d, moved.reshape(-1, 3), (), "d").reshape(3, len(x))
 
-        return derivative(shifted, order=2, step=DIFFERENCE * _scale(x)).T
+        step = DIFFERENCE * _scale(x)
+        if size and _scale(x) > FAR * size:  # the same cube root, of the rounding that there is
+            step = DIFFERENCE * size * float(np.cbrt(_scale(x) / size))
+        return derivative(shifted, order=2, step=step).T
 
     return gradient
 
@@ -148,11 +189,17 @@ def _scale(x: Array) -> float:
     return float(np.abs(x).max(initial=0)) or 1.0
 
 
-def checked_values(function: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
+def checked_values(given: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
     """Values of a user's function, refused unless they are finite and of the right shape."""
-    values = real_array(f"values of {name}", function(x), (len(x), *shape))
+    returned = given(x.copy())
+    if name == "d" and getattr(returned, "dtype", None) in (np.float32, np.float16):
+        raise ValueError(_in_single_precision(str(returned.dtype)))
+    values = real_array(f"values of {name}", returned, (len(x), *shape))
     bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         i = int(np.argmax(bad))
-        raise ValueError(f"{name} is {values[i].tolist()} at {x[i].tolist()}")
+        raise ValueError(
+            f"values of {name} must be finite, but {name} is {values[i].tolist()} at "
+            f"{x[i].tolist()}"
+        )
     return values

@@ -17,14 +17,23 @@ from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Ints, finite_array, number
 from esfem_core.surfaces.check import check_triangulation
-from esfem_core.surfaces.level_set import Field, central_gradient, checked_values, descend
+from esfem_core.surfaces.level_set import Field, checked_gradient, checked_values, descend
 from esfem_core.surfaces.quality import Quality
-from esfem_core.surfaces.relaxation import MAX_ROUNDS, MEAN_RATIO, MIN_ANGLE, Guide, evened
+from esfem_core.surfaces.relaxation import (
+    MAX_ROUNDS,
+    MEAN_RATIO,
+    MIN_ANGLE,
+    SHORTEST,
+    Guide,
+    TooCoarseError,
+    evened,
+)
 
 __all__ = ["MeshingError", "from_level_set"]
 
 GRID = 1.14  # spacing of the first grid over h: marching cubes then gives about as many vertices
 MAX_POINTS = 2 * 10**7  # of the grid with half that spacing, which checks the topology
+SMOOTH = 0.97  # cosine between normals of a smooth surface at points that are close
 
 
 class MeshingError(RuntimeError):
@@ -53,7 +62,9 @@ def from_level_set(
     bounds : (2, 3) floats
         Lower and upper corner of a box with the surface inside.
     h : float
-        Length of edges; the mean comes out between 0.8 h and 1.05 h.
+        Length of edges, about. The mean came out between 0.62 h and 1.36 h on 432 meshes of random
+        smooth surfaces, on four of five between 0.8 h and 1.05 h; it is farthest from h where the
+        curvature allows no much larger h. No edge is shorter than 0.6 h.
     gradient : callable, optional
         (n, 3) -> (n, 3), of d; by central differences if None.
 
@@ -87,10 +98,19 @@ def from_level_set(
     """
     low, high = _box(bounds)
     h = number("h", h, above=0)
-    gradient = central_gradient(d) if gradient is None else gradient
-    x, faces = _first_mesh(d, low, high, h)
+    gradient = checked_gradient(d, gradient, float((high - low).max()))
+    x, faces = _first_mesh(d, low, high, h, gradient)
     guide = Guide(d, gradient, partial(descend, d, gradient))
-    found = evened(guide.project(x), faces, guide, h)
+    try:
+        found = evened(guide.project(x), faces, guide, h)
+    except TooCoarseError as error:
+        if (place := _crease(error.corners, d, gradient, h)) is None:
+            raise
+        raise ValueError(
+            f"d must be smooth, but near {place.round(3).tolist()} its gradient jumps: the "
+            "surface has a crease there, an edge or a corner, and no h is small enough; round "
+            "it off, or make the triangles with a program for such bodies"
+        ) from error
     tri = trimesh.Trimesh(found.vertices, found.faces, process=False)
     if not found.good:
         raise MeshingError(_shortcoming(tri, found.quality, h))
@@ -108,26 +128,26 @@ def _box(bounds: ArrayLike) -> Array:
     return box
 
 
-def _first_mesh(d: Field, low: Array, high: Array, h: float) -> tuple[Array, Ints]:
+def _first_mesh(d: Field, low: Array, high: Array, h: float, gradient: Field) -> tuple[Array, Ints]:
     """Marching cubes; the topology must be the same on a grid of half the spacing."""
     cells = np.maximum(np.ceil((high - low) / (GRID * h)), 3).astype(int)
     points = np.prod(2.0 * cells + 1)
     if points > MAX_POINTS:
         raise ValueError(
-            f"h = {h:g} is too small for this box: the grid would have {points:.0f} points "
-            f"(allowed: {MAX_POINTS}); take a tighter box or a larger h"
+            f"h must be larger for this box: with h = {h:g} the grid is of {points:.2g} points "
+            f"(allowed: {MAX_POINTS:.0e}); take a tighter box or a larger h"
         )
     axes = [np.linspace(a, b, 2 * n + 1) for a, b, n in zip(low, high, cells, strict=True)]
     spacing = (high - low) / (2 * cells)
     values = _sample(d, axes)
-    _check_signs(values, axes)
+    _check_signs(values, axes, d, gradient)
     x, faces = _march(values[::2, ::2, ::2], low, 2 * spacing)
     found, finer = _topology(faces), _topology(_march(values, low, spacing)[1])
     if found != finer:
         raise ValueError(
-            f"h = {h:g} is too large for this surface: on a grid of spacing "
-            f"{2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the spacing "
-            f"{_in_words(finer)}"
+            f"h must be smaller for this surface, got {h:g}, which is too large: on a grid of "
+            f"spacing {2 * spacing.max():.3g} it has {_in_words(found)}, on one of half the "
+            f"spacing {_in_words(finer)}"
         )
     return x, faces
 
@@ -143,25 +163,74 @@ def _sample(d: Field, axes: list[Array]) -> Array:
     return values
 
 
-def _check_signs(values: Array, axes: list[Array]) -> None:
+def _check_signs(values: Array, axes: list[Array], d: Field, gradient: Field) -> None:
     inside = values <= 0
     if inside.all() or not inside.any():
+        sign = "negative" if inside.all() else "positive"
+        nearest = np.unravel_index(int(np.argmin(np.abs(values))), values.shape)
+        start = np.array([[a[i] for a, i in zip(axes, nearest, strict=True)]])
+        if (found := _zero_near(d, gradient, start, axes)) is not None:
+            raise ValueError(
+                f"h must be smaller for this surface: d is {sign} on the whole grid, but zero at "
+                f"{found.round(6).tolist()}, between its points"
+            )
         raise ValueError(
-            f"there is no surface in the box: d is {'negative' if inside.all() else 'positive'} "
-            "on the whole grid (or h is too large to see it)"
+            f"bounds must hold a surface, but there is no surface in the box: d is {sign} on the "
+            "whole grid (or h is too large to see it)"
         )
     inside[1:-1, 1:-1, 1:-1] = False
     count = int(inside.sum())
     if count == 0:
         return
     if count == values.size - np.prod(np.array(values.shape) - 2):
-        raise ValueError("d is negative on the boundary of the box: outside it must be positive")
+        raise ValueError(
+            "d must be positive outside, but d is negative on the boundary of the box: outside it "
+            "must be positive"
+        )
     index = np.argwhere(inside)[0]
     point = [round(float(a[i]), 6) for a, i in zip(axes, index, strict=True)]
     raise ValueError(
         f"the surface is not closed in the box: d is {values[tuple(index)]:.3g} at the boundary "
-        f"point {point}, where it must be positive; take a larger box"
+        f"point {point}, where it must be positive; {_larger_box(d, axes)}"
     )
+
+
+def _zero_near(d: Field, gradient: Field, start: Array, axes: list[Array]) -> Array | None:
+    """A point in the box where d changes its sign, found by Newton's method from one point."""
+    try:
+        [point] = descend(d, gradient, start)
+    except ValueError:
+        return None
+    inside = all(a[0] <= c <= a[-1] for a, c in zip(axes, point, strict=True))
+    slope = checked_values(gradient, point[None], (3,), "gradient")
+    step = 1e-4 * (axes[0][1] - axes[0][0]) * slope / (np.linalg.norm(slope) or 1.0)
+    before, after = checked_values(d, point + np.vstack([-step, step]), (), "d")
+    return np.asarray(point) if inside and before < 0 < after else None  # not a double zero
+
+
+def _larger_box(d: Field, axes: list[Array]) -> str:
+    """What helps a surface that a box cuts: whether it ends in larger ones."""
+    middle = np.array([(a[0] + a[-1]) / 2 for a in axes])
+    half = np.array([(a[-1] - a[0]) / 2 for a in axes])
+    u, v = (c.ravel() for c in np.meshgrid(*2 * [np.linspace(-1, 1, 33)], indexing="ij"))
+    sides = [
+        np.insert(np.stack([u, v], axis=1), axis, end, axis=1)
+        for axis in range(3)
+        for end in (-1, 1)
+    ]
+    try:
+        cut = [
+            bool((checked_values(d, middle + s * half * np.vstack(sides), (), "d") <= 0).any())
+            for s in (2, 4, 8)
+        ]
+    except Exception:  # d is the user's, and what it does out there is not known
+        return "take a larger box"
+    if all(cut):
+        return (
+            "boxes of two, four and eight times the size cut it as well: a surface without an end, "
+            "such as a plane, a cylinder or a periodic one, is not closed and cannot be meshed"
+        )
+    return "take a larger box"
 
 
 def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
@@ -194,9 +263,47 @@ def _in_words(topology: tuple[int, int]) -> str:
     return f"Euler number {euler} and {pieces} component{'s' if pieces > 1 else ''}"
 
 
+def _crease(corners: Array, d: Field, gradient: Field, h: float) -> Array | None:
+    """A point near a triangle where the normal of the surface jumps, or None.
+
+    Between two points of the surface with different normals lies one whose normal differs from one
+    of theirs by half the angle or more. On a smooth surface the angle goes to zero with the
+    distance.
+    """
+
+    def normals(points: Array) -> Array:
+        g = checked_values(gradient, points, (3,), "gradient")
+        return np.asarray(g / np.linalg.norm(g, axis=1, keepdims=True))
+
+    n = normals(corners)
+    products = n @ n.T
+    i, j = np.unravel_index(int(np.argmin(products)), products.shape)
+    a, b, n_a, n_b = corners[i], corners[j], n[i], n[j]
+    for _ in range(40):
+        try:
+            [middle] = descend(d, gradient, (a + b)[None] / 2)
+            [n_middle] = normals(middle[None])
+        except ValueError:
+            return np.asarray((a + b) / 2)
+        if n_a @ n_middle < n_middle @ n_b:
+            b, n_b = middle, n_middle
+        else:
+            a, n_a = middle, n_middle
+        if n_a @ n_b > SMOOTH:
+            return None
+        if np.linalg.norm(a - b) < 1e-4 * h:
+            return np.asarray(a)
+    return None
+
+
 def _shortcoming(tri: trimesh.Trimesh, reached: Quality, h: float) -> str:
     angles = np.degrees(tri.face_angles)
     worst = tri.triangles_center[int(np.argmin(angles.min(axis=1)))]
+    if reached.h_min < SHORTEST * h and reached.min_angle >= MIN_ANGLE:
+        return (
+            f"h must be smaller for this surface, got {h:g}: a closed mesh of it has edges of "
+            f"{reached.h_min:.3g}, less than {SHORTEST:g} h, after {MAX_ROUNDS} rounds"
+        )
     return (
         f"after {MAX_ROUNDS} rounds the smallest angle is {reached.min_angle:.1f} degrees (wanted: "
         f"{MIN_ANGLE:g}), near {worst.round(3).tolist()}, and the mean ratio of radii "

@@ -14,7 +14,16 @@ from esfem_core.surfaces.edges import collapse, edges_of, flip, split
 from esfem_core.surfaces.level_set import Field
 from esfem_core.surfaces.quality import Quality, mesh_quality
 
-__all__ = ["MAX_ROUNDS", "MEAN_RATIO", "MIN_ANGLE", "Evened", "Guide", "evened", "resized"]
+__all__ = [
+    "MAX_ROUNDS",
+    "MEAN_RATIO",
+    "MIN_ANGLE",
+    "Evened",
+    "Guide",
+    "TooCoarseError",
+    "evened",
+    "resized",
+]
 
 # What is asked of the mesh; the rounds end when it holds and the mean ratio has settled.
 MIN_ANGLE = 30.0  # degrees
@@ -22,6 +31,7 @@ MEAN_RATIO = 0.96  # of radii, 2 r_in/r_out
 SETTLED = 0.003  # smallest gain of the mean ratio in a round that is worth another
 SHORTEST, LONGEST = 0.6, 1.5  # shorter edges are collapsed, longer ones split; times h
 MAX_ROUNDS, STEPS = 40, 12
+MOST_FLIPS = 50  # passes over all edges in a row; ten are many
 ROUGH_ROUNDS = 5  # after these the mesh must at least follow the surface
 MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surface at its corners
 
@@ -29,6 +39,20 @@ MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surfa
 # than 4/5 h after a collapse (M. Botsch, L. Kobbelt 2004).
 TOO_SHORT, TOO_LONG = 4 / 5, 4 / 3
 RESIZINGS, SWEEPS, FEW = 3, 20, 5
+
+
+class TooCoarseError(ValueError):
+    """Triangles too large for the curvature of their surface.
+
+    Attributes
+    ----------
+    corners : (3, 3) float array
+        Of one such triangle.
+    """
+
+    def __init__(self, message: str, corners: Array) -> None:
+        super().__init__(message)
+        self.corners = corners
 
 
 class Guide(NamedTuple):
@@ -107,7 +131,7 @@ def evened(
 
     Raises
     ------
-    ValueError
+    TooCoarseError
         If the surface turns by more than 60 degrees, or what `turn` says, within a triangle, of
         the final mesh or of one that is not good after five rounds.
 
@@ -175,7 +199,7 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
             if not changes:
                 break
             x = _without_folds(x, guide.project(x), faces)
-        x, faces = _flipped(x, faces)  # not before: flips of long edges cut through what is thin
+        faces = _flipped(x, faces)  # not before: flips of long edges cut through what is thin
         for _ in range(SWEEPS):
             e, wanted = edges_of(faces), guide.lengths(x, h)
             lengths, middle = e.lengths(x), wanted[e.ends].mean(axis=1)
@@ -183,7 +207,8 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
             x, faces, changes = collapse(x, faces, priority, TOO_LONG * wanted)
             if not changes:
                 break
-            x, faces = _flipped(_without_folds(x, guide.project(x), faces), faces)
+            x = _without_folds(x, guide.project(x), faces)
+            faces = _flipped(x, faces)
         x, faces = _relax(x, faces, guide, h)
     return x, faces
 
@@ -214,9 +239,7 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
     share = guide.lengths(x, h) / h
     for step in range(STEPS):
         if step % 4 == 0:
-            flips = 1
-            while flips:
-                faces, flips = flip(x, faces)
+            faces = _flipped(x, faces)
             i, j = edges_of(faces).ends.T
             middle = (share[i] + share[j]) / 2
         # Springs shorter than wanted push; as these are 1.2 mean lengths, nearly all are.
@@ -231,6 +254,9 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
         # Along the tangent plane, at most h/10 at once, then one Newton step to the surface.
         g = guide.gradient(x)
         steepness = np.einsum("ij,ij->i", g, g)
+        if not steepness.all():
+            zero = x[int(np.argmin(steepness))].tolist()
+            raise ValueError(f"the gradient of d must not vanish, but is zero at {zero}")
         move -= (np.einsum("ij,ij->i", move, g) / steepness)[:, None] * g
         size = np.sqrt(np.einsum("ij,ij->i", move, move))
         y = x + np.minimum(1, 0.1 * h * share / np.maximum(size, 1e-3 * h))[:, None] * move
@@ -258,12 +284,13 @@ def _plane_normals(x: Array, faces: Ints) -> Array:
     return np.cross(b - a, c - a)
 
 
-def _flipped(x: Array, faces: Ints) -> tuple[Array, Ints]:
-    """The vertices, and the triangles after flips."""
-    flips = 1
-    while flips:
+def _flipped(x: Array, faces: Ints) -> Ints:
+    """The triangles after flips; near a singular point these could go on for ever."""
+    for _ in range(MOST_FLIPS):
         faces, flips = flip(x, faces)
-    return x, faces
+        if not flips:
+            break
+    return faces
 
 
 def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
@@ -276,8 +303,9 @@ def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: flo
     worst = int(np.argmin(cosine))
     if not cosine[worst] > turn:
         angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
-        raise ValueError(
-            f"h = {h:g} is too large for this surface: near {x[faces[worst, 0]].round(3).tolist()} "
-            f"it turns by {angle:.0f} degrees within a triangle "
-            f"(allowed: {np.degrees(np.arccos(turn)):.0f})"
+        raise TooCoarseError(
+            f"h must be smaller for this surface, got {h:g}, which is too large: near "
+            f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.0f} degrees within a "
+            f"triangle (allowed: {np.degrees(np.arccos(turn)):.0f})",
+            x[faces[worst]],
         )

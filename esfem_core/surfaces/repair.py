@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Bools, Ints, whole_number
+from esfem_core.checks import Array, Bools, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
     Fault,
     check_is_trimesh,
@@ -90,13 +90,15 @@ def repair(
     """
     check_is_trimesh("tri", tri)
     holes = whole_number("holes", holes, 0)
+    if report is not None:
+        function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
     if fault(vertices, faces) is None:
-        if report:
+        if report is not None:
             report("nothing to repair")
         return tri.copy()
     result = repaired(vertices, faces, holes)
-    if report:
+    if report is not None:
         for step in result.steps:
             report(step)
     left = fault(result.vertices, result.faces)

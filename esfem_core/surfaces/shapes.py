@@ -6,7 +6,15 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, finite_array, number, one_of, real_array, whole_number
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    function,
+    number,
+    one_of,
+    real_array,
+    whole_number,
+)
 from esfem_core.surfaces.faults import check_is_trimesh
 
 __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
@@ -14,6 +22,7 @@ __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", 
 Solid = Literal["octahedron", "icosahedron"]
 
 
+MOST_CELLS = 10_000  # of a torus in one direction
 MOST_REFINEMENTS = 12  # 6.7e7 vertices from the octahedron: beyond, memory ends first
 
 
@@ -127,8 +136,8 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     """
     R, r = number("R", R, above=0), number("r", r, above=0)
     if r >= R:
-        raise ValueError(f"a torus needs R > r, got R = {R:g} and r = {r:g}")
-    n, m = whole_number("n", n, 3), whole_number("m", m, 3)
+        raise ValueError(f"R must be larger than r, got R = {R:g} and r = {r:g}")
+    n, m = whole_number("n", n, 3, MOST_CELLS), whole_number("m", m, 3, MOST_CELLS)
     # trimesh.creation.torus has changed its diagonals, and with them all numbers, at version 5.
     around, along = np.linspace(0, 2 * np.pi, n + 1)[:-1, None], np.linspace(0, 2 * np.pi, m + 1)
     distance, height = r / R * np.cos(along[:-1]) + 1.0, r / R * np.sin(along[:-1])
@@ -181,6 +190,7 @@ def displaced(
     """
     check_is_trimesh("tri", tri)
     share, seed = number("share", share, least=0, most=0.3), whole_number("seed", seed, 0)
+    function("project", project, "of points (n, 3)")
     x = np.asarray(tri.vertices)
     shift = np.random.default_rng(seed).uniform(-1, 1, x.shape)
     moved = project(x + share * tri.edges_unique_length.min() * shift)

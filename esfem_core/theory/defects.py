@@ -18,10 +18,11 @@ from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, finite_array, number, one_of, whole_number
+from esfem_core.checks import Array, finite_array, number, object_of, one_of, shown, whole_number
 from esfem_core.elements import Surface, SurfaceSpace
+from esfem_core.errors import root_of_form, square_matrix
 from esfem_core.laws import Prescribed, Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
@@ -115,13 +116,16 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     >>> bool(abs(dual_norm(M + A, M @ np.ones(len(space.nodes))) - area**0.5) < 1e-12)
     True
     """
-    if isinstance(K, csr_array):
+    if issparse(K):
+        K = square_matrix("K", K).tocsr()
         r = finite_array("functional", functional, (K.shape[0], "..."))
         K = superlu(K)
+    elif isinstance(K, type) or not callable(getattr(K, "solve", None)):
+        raise TypeError(f"K must be a sparse matrix or its Factor, got {shown(K)}")
     else:
         r = finite_array("functional", functional, ("N", "..."))
     columns = r.reshape(len(r), -1)
-    return float(np.sqrt(max(np.sum(columns * K.solve(columns)), 0.0)))
+    return root_of_form("K", columns, K.solve(columns))
 
 
 def exact_values(space: SurfaceSpace, problem: Problem, t: float) -> NodalValues:
@@ -183,7 +187,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     >>> max(ec.errors.compare(space, problem, last)) < 1e-11
     True
     """
-    order, step = whole_number("order", order, 1), number("step", step, above=0)
+    order, step = whole_number("order", order, 1, 100), number("step", step, above=0)
+    object_of("problem", problem, Problem)
     n = whole_number("n", n, 0)
     if n < order:
         raise ValueError(f"n must be at least p = {order}, got {n}")

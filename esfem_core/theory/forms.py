@@ -17,8 +17,9 @@ from scipy.linalg import eigh
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from esfem_core.checks import Array, finite_array
+from esfem_core.checks import Array, finite_array, flag, object_of, shown
 from esfem_core.elements import SurfaceSpace, tabulate
+from esfem_core.errors import square_matrix
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 
 __all__ = [
@@ -68,6 +69,7 @@ def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_
     >>> print(f"{M.sum() / (4 * np.pi / 3):.3f}")
     1.000
     """
+    object_of("space", space, SurfaceSpace)
     phi = tabulate(space.degree, space.rule.points).values
     density = space.density(x) * space.rule.weights
     if weight is not None:
@@ -98,6 +100,7 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) ->
     ValueError
         If an argument has the wrong shape or is not finite.
     """
+    object_of("space", space, SurfaceSpace)
     gradients = space.basis_gradients(x)
     fluxes = gradients
     if tensor is not None:
@@ -158,6 +161,7 @@ def deformation(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
 
 def _velocity_gradient(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
+    object_of("space", space, SurfaceSpace)
     return space.gradient(x, finite_array("v", v, space.nodes.shape))
 
 
@@ -277,6 +281,9 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     >>> print(f"{mass(space, space.nodes, onto.ratio).sum() / (4 * np.pi):.8f}")
     1.00000000
     """
+    object_of("space", space, SurfaceSpace)
+    if not isinstance(surface, ExactSurface):
+        raise TypeError(f"surface must be an ExactSurface, got {shown(surface)}")
     near = surface.near(space.quadrature_points(x))
     normal_h = space.normals(x)
     cosine = np.sum(normal_h * near.normal, axis=-1)
@@ -311,6 +318,7 @@ def gradient_load(space: SurfaceSpace, x: Array, field: ArrayLike) -> Array:
     ValueError
         If an argument has the wrong shape or is not finite.
     """
+    object_of("space", space, SurfaceSpace)
     density = space.density(x) * space.rule.weights
     weighted = finite_array("field", field, (*density.shape, 3)) * density[..., None]
     entries = np.einsum("tqi,tqai->ta", weighted, space.basis_gradients(x))
@@ -351,17 +359,23 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     >>> print(f"{relative_norm(-3 * M, M):.6f} {relative_norm(2 * A, A, seminorm=True):.6f}")
     3.000000 2.000000
     """
+    form, norm = square_matrix("form", form), square_matrix("norm", norm)
+    flag("seminorm", seminorm)
     if form.shape != norm.shape:
         raise ValueError(f"form and norm must have one shape, got {form.shape} and {norm.shape}")
     rounding = ROUNDING * max(abs(form).max(), abs(norm).max())
     if abs(form - form.T).max() > rounding:
-        raise ValueError("form must be symmetric")
+        raise ValueError("form must be symmetric, but is not")
     if seminorm and abs(form.sum(axis=1)).max() > rounding:
-        raise ValueError("with seminorm=True form must vanish on constants")
+        raise ValueError("with seminorm=True form must vanish on constants, but does not")
     if seminorm:  # constants make no difference: functions that vanish at the first node will do
         form, norm = form[1:, 1:], norm[1:, 1:]
     if form.shape[0] <= DENSE:
-        return float(np.abs(eigh(form.toarray(), norm.toarray(), eigvals_only=True)).max())
+        try:
+            values = eigh(form.toarray(), norm.toarray(), eigvals_only=True)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"norm must be positive definite, but is not: {error}") from error
+        return float(np.abs(values).max())
     inverse = LinearOperator(norm.shape, splu(norm.tocsc()).solve, dtype=float)
     start = np.random.default_rng(0).normal(size=form.shape[0])
     # The extreme eigenvalues are often close together: a wide subspace, no more digits than needed.

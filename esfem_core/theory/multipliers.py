@@ -62,7 +62,10 @@ def smallest_eta(p: int) -> float:
     """
     p = whole_number("the order p", p, 1)
     if p > 5:
-        raise ValueError(f"for p >= 6 no linear multiplier 1 - eta z exists, got p = {p}")
+        raise ValueError(
+            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got "
+            f"p = {p}"
+        )
     return _smallest_eta(p)
 
 
@@ -170,7 +173,10 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     array([ 0.7071, -0.7071])
     """
     d, m = _coefficients(delta, mu)
-    negative = "Re(delta/mu) is negative on part of the unit circle, so that no G exists"
+    negative = (
+        "delta and mu must have Re(delta/mu) >= 0, but Re(delta/mu) is negative on part of the "
+        "unit circle, so that no G exists"
+    )
     tiny = _ZERO * np.abs(d).sum() * np.abs(m).sum()
     F = circle_polynomial(d, m).trim(tiny)
     if np.abs(F.coef).max() <= tiny:
@@ -236,8 +242,8 @@ def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     lowest = np.linalg.eigvalsh(G).min(initial=np.inf)
     if lowest <= _ZERO * np.trace(G):
         raise ValueError(
-            f"G is not positive definite (lowest eigenvalue {lowest:.1e}): delta and mu have a "
-            "common divisor, or mu has a zero in the unit disc"
+            "delta and mu must have no common divisor and mu no zero in the unit disc, but G is "
+            f"not positive definite (lowest eigenvalue {lowest:.1e})"
         )
     return G
 
@@ -276,6 +282,6 @@ def _coefficients(delta: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     d, m = finite_array("delta", delta, ("n",)), finite_array("mu", mu, ("n",))
     for name, c in (("delta", d), ("mu", m)):
         if len(c) == 0:
-            raise ValueError(f"{name} must hold at least one coefficient")
+            raise ValueError(f"{name} must hold at least one coefficient, got none")
     n = max(len(d), len(m))
     return np.pad(d, (0, n - len(d))), np.pad(m, (0, n - len(m)))

@@ -40,7 +40,7 @@ def bdf_kernel(p: int, degree: int | None = None) -> "PPoly":
     Parameters
     ----------
     p : int
-        Order and number of steps, 1 or more.
+        Order and number of steps, 1 to 30.
     degree : int, optional
         q = 1..p, which is also the degree of the pieces; p if None.
 
@@ -78,7 +78,7 @@ def extrapolation_kernel(p: int, degree: int | None = None) -> "PPoly":
     Parameters
     ----------
     p : int
-        Number of values, 1 or more.
+        Number of values, 1 to 30.
     degree : int, optional
         q = 1..p; p if None. The pieces have degree q - 1.
 
@@ -106,7 +106,7 @@ def extrapolation_kernel(p: int, degree: int | None = None) -> "PPoly":
 
 def _orders(p: int, degree: int | None) -> tuple[int, int]:
     """Check p and q, which is p if not given."""
-    p = whole_number("the order p", p, 1)
+    p = whole_number("the order p", p, 1, 30)
     return p, p if degree is None else whole_number("degree", degree, 1, p)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
 
-from esfem_core.checks import Array, finite_array
+from esfem_core.checks import Array, finite_array, object_of
 from esfem_core.elements import SurfaceSpace, node_indices, tabulate
 from esfem_core.solvers import superlu
 
@@ -43,10 +43,12 @@ def prolongation(space: SurfaceSpace, fine: SurfaceSpace) -> csr_array:
     >>> bool(np.allclose(prolongation(linear, quartic) @ linear.nodes, quartic.nodes))
     True
     """
+    object_of("space", space, SurfaceSpace)
+    object_of("fine", fine, SurfaceSpace)
     if fine.degree < space.degree:
-        raise ValueError(f"degree {fine.degree} of fine is below {space.degree}")
+        raise ValueError(f"fine must have degree {space.degree} or more, but has {fine.degree}")
     if not np.array_equal(space.cells[:, :3], fine.cells[:, :3]):
-        raise ValueError("the two spaces must be on one triangulation")
+        raise ValueError("fine must be on the triangulation of space, but is on another")
     values = tabulate(space.degree, node_indices(fine.degree)[:, 1:] / fine.degree).values
     nodes, first = np.unique(fine.cells, return_index=True)  # each from one of its elements
     cell, local = np.divmod(first, fine.cells.shape[1])

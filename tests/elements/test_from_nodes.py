@@ -52,7 +52,12 @@ def test_files_of_any_degree_give_the_space_back(tmp_path, suffix, degree):
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_elements_of_mixed_orientation_are_turned(degree):
-    made = curved(degree, joined(SPHERE, mesh(0.4 * SPHERE.vertices, SPHERE.faces[:, ::-1])))
+    def project(x):  # to the sphere and to the cavity
+        outside = np.linalg.norm(x, axis=1, keepdims=True) > 0.6
+        return np.where(outside, 1.0, 0.4) * ec.to_unit_sphere(x)
+
+    tri = joined(SPHERE, mesh(0.4 * SPHERE.vertices, SPHERE.faces[:, ::-1]))
+    made = ec.SurfaceSpace(tri, degree, project)
     cells = np.array(made.cells)
     wrong = np.random.default_rng(0).random(len(cells)) < 0.4
     cells[wrong] = cells[wrong][:, mirrored(degree)]
@@ -83,7 +88,7 @@ def test_elements_without_common_nodes_are_joined_by_reading_and_refused_as_arra
 def test_nodes_outside_of_all_elements_are_refused_with_a_line_that_works():
     made = curved(2)
     nodes, cells = np.vstack([[[9.0, 9, 9]], made.nodes]), made.cells + 1
-    with pytest.raises(ValueError, match=r"node 0 belongs to no element \(1 such nodes\)") as error:
+    with pytest.raises(ValueError, match=r"node 0 belongs to none \(1 such nodes\)") as error:
         ec.SurfaceSpace.from_nodes(nodes, cells)
     assert "used, numbers = np.unique(cells, return_inverse=True) gives nodes[used]" in str(
         error.value
@@ -113,7 +118,7 @@ def test_unfit_elements_are_refused():
     for cells, text in [
         (made.cells[:, :5], "cells must have 3, 6, 10, .* columns"),
         (made.cells + 1, "cells must hold numbers of nodes, 0 to 161"),
-        (made.cells[1:], "no fit triangulation: the surface is not closed"),
+        (made.cells[1:], "a fit triangulation, but the surface is not closed"),
     ]:
         with pytest.raises(ValueError, match=text):
             ec.SurfaceSpace.from_nodes(made.nodes, cells)
@@ -137,7 +142,16 @@ def test_vertices_are_projected_on_demand(degree):
 
 
 def test_a_projection_that_spoils_the_triangulation_is_refused():
+    one, other = SPHERE.faces[0, :2]
+
+    def onto_one_point(x):  # near enough, but the triangles there lose their area
+        y = np.array(x)
+        y[[one, other]] = (x[one] + x[other]) / 2
+        return y
+
     with pytest.raises(ValueError, match=r"project makes the triangulation unfit: .* degenerate"):
-        ec.SurfaceSpace(SPHERE, 2, lambda x: x * [1, 0, 0], project_vertices=True)
+        ec.SurfaceSpace(SPHERE, 2, onto_one_point, project_vertices=True)
+    with pytest.raises(ValueError, match="project must move nodes to the surface that the tri"):
+        ec.SurfaceSpace(ec.torus(), 2, ec.to_unit_sphere)
     with pytest.raises(ValueError, match="project_vertices needs a project"):
         ec.SurfaceSpace(SPHERE, 2, project_vertices=True)

@@ -48,5 +48,5 @@ def test_stated_exactness_is_not_understated(degree):
 
 @pytest.mark.parametrize("exactness", [-1, 2.5])
 def test_refuses(exactness):
-    with pytest.raises(ValueError, match="exactness must be an integer >= 0"):
+    with pytest.raises(ValueError, match="exactness must be an integer from 0 to 100"):
         triangle_rule(exactness)

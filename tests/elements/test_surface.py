@@ -355,7 +355,11 @@ FLAT = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2)  # (T, Q) = (32, 6), N = 6
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"space": ec.sphere("octahedron", 1)}, TypeError, "space must be a SurfaceSpace, got Tri"),
+        (
+            {"space": ec.sphere("octahedron", 1)},
+            TypeError,
+            "space must be a SurfaceSpace, got <tri",
+        ),
         ({"x": FLAT.nodes[1:]}, ValueError, r"x must have shape \(66, 3\), got \(65, 3\)"),
         ({"x": 1j * FLAT.nodes}, TypeError, "x must hold real numbers, got complex128"),
         ({"fields": np.zeros(5)}, ValueError, r"u must have shape \(66, \.\.\.\), got \(5,\)"),
@@ -380,7 +384,7 @@ def test_what_does_not_fit_is_refused(arguments, error, message):
             ValueError,
             r"values must have shape \(32, 6, \.\.\.\), got \(6, 32\)",
         ),
-        ({"values": 1j}, TypeError, "values must be a finite number, got 1j"),
+        ({"values": 1j}, TypeError, "values must hold real numbers, got complex128"),
         ({"values": np.nan}, ValueError, "values must be a finite number, got nan"),
         (
             {"values": np.zeros((32, 6)), "flux": np.zeros((32, 6))},
@@ -412,7 +416,7 @@ def test_loads_refuse(arguments, error, message):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"mass": "1"}, TypeError, "mass must be a finite number, got '1'"),
+        ({"mass": "1"}, TypeError, "mass must hold real numbers, got <U1"),
         ({"stiffness": np.inf}, ValueError, "stiffness must be a finite number, got inf"),
         ({"mass": np.zeros(32)}, ValueError, r"mass must have shape \(32, 6\), got \(32,\)"),
         (

@@ -71,6 +71,6 @@ def test_what_is_no_law_is_refused():
         with pytest.raises(TypeError, match=r"law must have .*velocity, see esfem_core\.laws\.Law"):
             ec.Problem(law=law)
     with pytest.raises(
-        TypeError, match=r"law must be an object, not a class: write Rest\(\.\.\.\)"
+        TypeError, match=r"law must be an object, got the class Rest: write Rest\(\.\.\.\)"
     ):
         ec.Problem(law=Rest)

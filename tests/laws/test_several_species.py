@@ -164,7 +164,9 @@ def test_a_source_without_return_is_refused():
 
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     problem = ec.Problem(1.0, forgetful, motion=lambda p, t: p)
-    with pytest.raises(TypeError, match="source of 'u' returned None: is a return missing"):
+    with pytest.raises(
+        TypeError, match="source f of 'u' must return numbers, but returned None: is a return"
+    ):
         list(ec.evolve(space, problem, 1, 0.1, 0.2))
 
 

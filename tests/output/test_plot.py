@@ -106,7 +106,7 @@ def test_plot_refuses_what_it_cannot_draw(ax):
     given = state(pair=np.ones((66, 2)))
     for arguments, error, message in [
         ((1,), TypeError, "state must be a State, got 1"),
-        ((ec.State(0.0, given.x),), ValueError, "knows no space"),
+        ((ec.State(0.0, given.x),), ValueError, "must know its space"),
         ((given, "w"), ValueError, r"a function of the state \('pair', 'u'\), got 'w'"),
         ((given, "pair"), ValueError, r"'pair' has 2 components.*state\['pair'\]\[:, 0\]"),
         ((given, np.ones(3)), ValueError, r"values must have shape \(66,\), got \(3,\)"),
@@ -157,7 +157,7 @@ def test_animate_writes_pages_and_films(tmp_path, monkeypatch):
 def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     given = state()
     for arguments, error, message in [
-        (([],), ValueError, "no state to draw"),
+        (([],), ValueError, "states must hold at least one"),
         (([given, 1],), TypeError, r"states\[1\] must be a State, got 1"),
         (([given], tmp_path / "film.avi"), ValueError, r'"\.html" or "\.gif" or "\.mp4", got'),
         (([given], tmp_path / "none" / "film.gif"), FileNotFoundError, "does not exist"),

@@ -89,7 +89,7 @@ def test_animation_carries_its_script_where_no_page_has_one(run, monkeypatch):
 
 def test_animation_refuses_what_it_cannot_draw(run):
     space, states = run
-    with pytest.raises(ValueError, match="no state"):
+    with pytest.raises(ValueError, match="states must hold at least one"):
         surface_animation(space, [])
     with pytest.raises(ValueError, match=r"values must have shape \(66,\), got \(66, 3\)"):
         surface_animation(space, states, values=lambda s: s.x)

@@ -148,8 +148,8 @@ def test_a_series_refuses_what_it_cannot_write(tmp_path):
         ("run.vtk", [first], ValueError, r'path must end with "\.pvd"'),
         ("none/run.pvd", [first], FileNotFoundError, "does not exist; make it first"),
         ("run.pvd", [], ValueError, "at least one state, got none"),
-        ("run.pvd", [3], TypeError, "a series holds states, got 3"),
-        ("run.pvd", [ec.State(0.0, first.x)], ValueError, "knows no space"),
+        ("run.pvd", [3], TypeError, "states must be States, got 3"),
+        ("run.pvd", [ec.State(0.0, first.x)], ValueError, "must know their space"),
         ("run.pvd", [first, plain], ValueError, r"same functions, .* has none, the one before 'u'"),
         ("run.pvd", [second, first], ValueError, "order of time, got 0.0 after"),
         ("run.pvd", states(1, ["v"]), ValueError, "must not be called 'v'"),
@@ -209,9 +209,9 @@ def test_a_table_is_complete_after_each_row_and_refuses_other_columns(tmp_path):
     table.write({"t": 0.5})
     assert path.read_text() == "t\n0.5\n"
     for row, error, message in [
-        ({"s": 1.0}, ValueError, "all rows must have the columns t; got s"),
-        ([1.0], TypeError, "a row must be a NamedTuple or a mapping"),
-        ({}, TypeError, "a row must be a NamedTuple or a mapping"),
+        ({"s": 1.0}, ValueError, "rows must all have the columns t; got s"),
+        ([1.0], TypeError, "rows must be NamedTuples or mappings"),
+        ({}, TypeError, "rows must be NamedTuples or mappings"),
     ]:
         with pytest.raises(error, match=message):
             table.write(row)

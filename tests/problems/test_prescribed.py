@@ -226,7 +226,7 @@ def test_initial_values_of_the_bat():
         ValueError, match=r"u0 must give .* one row for each of 10 nodes, .*; got \(3,\)"
     ):
         ec.problems.baseball_bat(np.arange(3)).initial_values(p)
-    with pytest.raises(ValueError, match="needs a problem with an exact solution"):
+    with pytest.raises(ValueError, match="problem must have an exact solution"):
         time_norms(LINEAR, bat, ec.evolve(LINEAR, bat, 1, 0.5, 0.5), (0.0, 1.0))
 
 
@@ -259,7 +259,7 @@ def test_time_norms():
     whole = time_norms(LINEAR, problem, iter(states), (0.3, 1.0))
     assert whole == time_norms(LINEAR, problem, iter(states), (0.0, 1.0))
     assert whole[1] > expected[1]
-    with pytest.raises(ValueError, match=r"no step .* lies in the window \(0\.0, 0\.2\)"):
+    with pytest.raises(ValueError, match=r"window must hold a step .* lies in \(0\.0, 0\.2\)"):
         time_norms(LINEAR, problem, iter(states), (0.0, 0.2))
 
 

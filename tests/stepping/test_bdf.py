@@ -47,5 +47,5 @@ def test_zero_stability_ends_at_six(p, stable):
 @pytest.mark.parametrize("p", [0, -1, 1.5])
 @pytest.mark.parametrize("function", [ec.bdf.delta, ec.bdf.gamma])
 def test_refuses(function, p):
-    with pytest.raises(ValueError, match="order p must be an integer >= 1"):
+    with pytest.raises(ValueError, match="order p must be an integer from 1 to 100"):
         function(p)

@@ -328,9 +328,9 @@ def test_save_refuses_what_it_could_not_read_again(tmp_path):
     for path, given, error, message in [
         ("run.txt", states, ValueError, 'path must end with ".npz"'),
         ("none/run.npz", states, FileNotFoundError, "directory .* does not exist; make it first"),
-        ("run.npz", [], ValueError, "at least one state, got none"),
+        ("run.npz", [], ValueError, "states must hold at least one"),
         ("run.npz", [1], TypeError, r"states\[0\] must be a State, got 1"),
-        ("run.npz", [ec.State(0.0, SPACE.nodes)], ValueError, "knows no space"),
+        ("run.npz", [ec.State(0.0, SPACE.nodes)], ValueError, "must know its space"),
         ("run.npz", states[::-1], ValueError, "must be in the order of time"),
         ("run.npz", [alone, states[-1]], ValueError, "must have the same functions"),
         (
@@ -348,7 +348,11 @@ def test_save_refuses_what_it_could_not_read_again(tmp_path):
 def test_evolve_refuses_a_save_that_could_not_be_written_at_the_call(tmp_path):
     for options, error, message in [
         ({"save": tmp_path / "run.vtu"}, ValueError, 'save must end with ".npz"'),
-        ({"save": tmp_path / "a" / "run.npz"}, FileNotFoundError, "save: the directory"),
+        (
+            {"save": tmp_path / "a" / "run.npz"},
+            FileNotFoundError,
+            "save must be in a directory that is there",
+        ),
         ({"save": tmp_path / "run.npz", "every": 0}, ValueError, "every must be an integer >= 1"),
         ({"save": 3}, TypeError, "save must be the path of a file, got 3"),
     ]:
@@ -439,9 +443,9 @@ def test_respaced_says_how_far_the_states_must_reach_back():
         ec.respaced(states[-3:], 0.1, order=3)
     with pytest.raises(ValueError, match="step must be a finite number > 0"):
         ec.respaced(states, 0)
-    with pytest.raises(ValueError, match="order must be an integer >= 1, got 0"):
+    with pytest.raises(ValueError, match="order must be an integer from 1 to 100, got 0"):
         ec.respaced(states, 0.1, order=0)
-    with pytest.raises(ValueError, match="at least one state"):
+    with pytest.raises(ValueError, match="at least one of States"):
         ec.respaced([], 0.1)
 
 

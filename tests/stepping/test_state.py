@@ -142,7 +142,9 @@ def test_its_surface_has_all_functions():
     np.testing.assert_array_equal(at.x, last.x)
     np.testing.assert_array_equal(at["b"], SPACE.evaluate(last["b"]))
     assert at.integral(at["a"]) == pytest.approx(RUN[0].surface().integral(1.0), rel=1e-12)
-    with pytest.raises(ValueError, match=r"this state knows no space: State\(\.\.\., space=space"):
+    with pytest.raises(
+        ValueError, match=r"state must know its space, but has none: State\(\.\.\., space=space"
+    ):
         ec.State(0.0, X).surface()
 
 
@@ -153,19 +155,19 @@ def test_its_surface_has_all_functions():
         ({"t": np.nan}, ValueError, "t must be a finite number, got nan"),
         ({"x": X[:, :2]}, ValueError, r"x must have shape \(N, 3\), got \(66, 2\)"),
         ({"x": None}, TypeError, r"x must hold real numbers, got object \(None\)"),
-        ({"v": X[:, 0]}, ValueError, r"v must have shape \(N, 3\), got \(66,\)"),
+        ({"v": X[:, 0]}, ValueError, r"v must have shape \(66, 3\), got \(66,\)"),
         ({"v": 1j * X}, TypeError, "v must hold real numbers, got complex128"),
-        ({"u": 1.0}, ValueError, r"u must have shape \(N, \.\.\.\), got \(\)"),
+        ({"u": 1.0}, ValueError, r"u must have shape \(66, \.\.\.\), got \(\)"),
         ({"fields": {"w": ["a"]}}, TypeError, "w must hold real numbers, got <U1"),
         (
             {"products": {"w": 2.0}},
             ValueError,
-            r"products\['w'\] must have shape \(N, \.\.\.\), got \(\)",
+            r"products\['w'\] must have shape \(66, \.\.\.\), got \(\)",
         ),
         (
             {"u": X, "fields": {"u": X}},
             ValueError,
-            "u is given twice: as u and in fields",
+            "u must be given once, but is given as u and in fields",
         ),
     ],
 )
@@ -202,16 +204,6 @@ def test_functions_that_are_not_there_are_named():
             r"start\[0\]\.x must be finite, but .* is inf",
         ),
         (
-            ec.State(0.0, X, X[:5]),
-            ValueError,
-            r"start\[0\]\.v must have shape \(66, 3\), got \(5, 3\)",
-        ),
-        (
-            ec.State(0.0, X, u=X[:5]),
-            ValueError,
-            r"start\[0\]\.u must have shape \(66,\) or \(66, m\), got \(5, 3\)",
-        ),
-        (
             ec.State(0.0, X, fields={"w": np.zeros((N, 2, 2))}),
             ValueError,
             r"start\[0\]\['w'\] must have shape \(66,\) or \(66, m\), got \(66, 2, 2\)",
@@ -244,3 +236,10 @@ def test_a_changed_state_has_no_products_of_the_old_one():
     doubled = dataclasses.replace(last, fields={"u": 2 * last.u})
     assert (dict(doubled.products), doubled.method) == ({}, None)
     assert doubled.space is space
+
+
+def test_arrays_of_a_state_have_one_row_for_each_node():
+    with pytest.raises(ValueError, match=r"^v must have shape \(66, 3\), got \(5, 3\)"):
+        ec.State(0.0, X, X[:5])
+    with pytest.raises(ValueError, match=r"^u must have shape \(66, \.\.\.\), got \(5, 3\)"):
+        ec.State(0.0, X, u=X[:5])

@@ -88,7 +88,7 @@ def test_numbers_of_steps(start, step, end, expected):
         (
             (0.0, 1e-300, 1.0),
             ValueError,
-            r"step is too small: end/step is 1e\+300, got step = 1e-3",
+            r"step must be larger: end/step is 1e\+300, too many steps, got 1e-3",
         ),
         ((0.0, 0.1, np.inf), ValueError, "end must be a finite number, got inf"),
         ((0.0, 0.1, "1"), TypeError, "end must be a finite number, got '1'"),

@@ -33,8 +33,8 @@ def test_zero_and_missing_errors_have_no_order_and_no_warning():
 @pytest.mark.parametrize(
     ("sizes", "values", "message"),
     [
-        ([0.2, 0.1], [1.0], r"values must have shape \(2,\), got \(1,\)"),
-        ([0.2, 0.1], [[1.0], [2.0]], r"values must have shape \(2,\), got \(2, 1\)"),
+        ([0.2, 0.1], [1.0], r"must have shape \(2,\), got \(1,\)"),
+        ([0.2, 0.1], [[1.0], [2.0]], r"must have shape \(2,\), got \(2, 1\)"),
         ([0.2, 0.2], [1.0, 2.0], "sizes must be positive, neighbours different"),
         ([0.2, 0.0], [1.0, 2.0], "sizes must be positive"),
         ([0.2, np.nan], [1.0, 2.0], r"sizes must be finite, but sizes\[1\] is nan"),
@@ -48,7 +48,7 @@ def test_sizes_and_values_without_orders_are_refused(sizes, values, message):
 
 def test_the_final_state_is_the_last_of_a_run():
     assert final(ec.State(t, np.zeros((4, 3))) for t in range(3)).t == 2
-    with pytest.raises(ValueError, match="there are no states"):
+    with pytest.raises(ValueError, match="states must hold at least one"):
         final([])
 
 
@@ -79,7 +79,7 @@ def test_a_table_is_made_of_rows():
     np.testing.assert_array_equal(table["v_l2"], [2, 3])
     table = ConvergenceTable.of("tau", [0.2, 0.1], [{"a": 1, "b": 2}, {"a": 3, "b": 4}])
     np.testing.assert_array_equal(table["b"], [2, 4])
-    with pytest.raises(ValueError, match=r"x_l2 must have shape \(3,\), got \(2,\)"):
+    with pytest.raises(ValueError, match=r"must have shape \(3,\), got \(2,\)"):
         ConvergenceTable.of("tau", [0.4, 0.2, 0.1], rows)
     with pytest.raises(ValueError, match=r"all rows must have the names \['a', 'b'\]"):
         ConvergenceTable.of("tau", [0.2, 0.1], [{"a": 1, "b": 2}, {"b": 4, "a": 3}])
@@ -141,9 +141,9 @@ class TestAStudyAgainstAFineRun:
             self.study(steps=[0.05, 0.01])
         with pytest.raises(ValueError, match=r"fine must end at t = 1, but ends at t = 0\.5"):
             self.study(end=1.0)
-        with pytest.raises(ValueError, match="but ends with no state"):
+        with pytest.raises(ValueError, match="fine must hold at least 2"):
             self.study(fine=[])
-        with pytest.raises(ValueError, match="at least two states"):
+        with pytest.raises(ValueError, match="fine must hold at least 2"):
             self.study(fine=FINE[-1:])
         for options in ({"start": "euler"}, {"reference": FINE[-1]}):
             with pytest.raises(ValueError, match="gives the reference and the starting values"):
@@ -151,9 +151,9 @@ class TestAStudyAgainstAFineRun:
 
 
 def test_studies_of_nothing_are_refused():
-    with pytest.raises(ValueError, match="at least one of the steps"):
+    with pytest.raises(ValueError, match="steps must hold at least one"):
         time_study(SPACE, GROWING, 2, [], 0.5)
-    with pytest.raises(ValueError, match="at least one of the mesh sizes"):
+    with pytest.raises(ValueError, match="spaces must hold at least one"):
         space_study([], GROWING, 2, 0.1, 0.5)
     with pytest.raises(ValueError, match=r"steps must have shape \(n,\), got \(\)"):
         time_study(SPACE, GROWING, 2, 0.1, 0.5)
@@ -164,9 +164,9 @@ def test_studies_refuse_before_they_compute():
         raise AssertionError("a run has begun")
 
     bat = ec.problems.baseball_bat()
-    with pytest.raises(ValueError, match="no exact solution to compare with"):
+    with pytest.raises(ValueError, match="problem must have an exact solution to compare with"):
         time_study(SPACE, bat, 2, [0.1], 0.5, solver=solver)
-    with pytest.raises(ValueError, match="no exact solution to compare with"):
+    with pytest.raises(ValueError, match="problem must have an exact solution to compare with"):
         space_study([SPACE], bat, 2, 0.1, 0.5, solver=solver)
     with pytest.raises(ValueError, match="end/step must be an integer"):
         time_study(SPACE, GROWING, 2, [0.1, 0.3], 0.5, solver=solver)

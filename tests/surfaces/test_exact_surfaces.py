@@ -58,7 +58,7 @@ def test_mean_curvature_in_closed_form():
     ("make", "message"),
     [
         (lambda: Sphere(0.0), "radius must be a finite number > 0, got 0.0"),
-        (lambda: Torus(1.0, 1.5), "a torus needs R > r, got R = 1 and r = 1.5"),
+        (lambda: Torus(1.0, 1.5), "R must be larger than r, got R = 1 and r = 1.5"),
         (lambda: Torus(1.0, float("nan")), "r must be a finite number > 0, got nan"),
         (lambda: Ellipsoid((1.0, 2.0)), r"axes must have shape \(3,\), got \(2,\)"),
         (lambda: Ellipsoid((1.0, -2.0, 1.0)), r"axes must be positive, got \[1.0, -2.0, 1.0\]"),

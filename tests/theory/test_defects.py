@@ -88,7 +88,8 @@ def test_exact_starting_values_are_not_perturbed_and_euler_steps_have_the_number
 
         def perturbation(n):
             seen.append(n)
-            return np.full(len(space.nodes), size), np.zeros((1, 3)), np.zeros((1, 3))
+            zero = np.zeros_like(space.nodes)
+            return np.full(len(space.nodes), size), zero, zero
 
         options = {"start": start, "solver": "direct", "perturbation": perturbation}
         return list(ec.evolve(space, EXPANDING, 3, 0.1, 0.6, **options)), seen

@@ -1,0 +1,153 @@
+"""Whether motion, exact solution and slip belong to the surface that a run starts on."""
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from esfem_core.checks import Array, finite_array
+from esfem_core.elements import Surface, SurfaceSpace, nodal_average
+from esfem_core.problems import Problem
+from esfem_core.stepping.guard import EvolutionWarning
+from esfem_core.stepping.state import State
+
+__all__ = ["check_exact", "check_motion_of_start", "check_slip", "check_start_of_motion"]
+
+AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
+LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
+OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
+NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
+
+
+def check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -> None:
+    """Refuse a motion that is not at the nodes for t = 0.
+
+    Raises
+    ------
+    ValueError
+    """
+    try:
+        x = position(space.nodes, 0.0, (0.0, space.nodes))
+    except FloatingPointError as error:
+        raise ValueError(
+            f"motion must start on the surface, X(p, 0) = p, but {error}; a velocity "
+            "goes into laws.Prescribed(velocity=v)"
+        ) from error
+    node, distance = _farthest(space, x)
+    if not distance <= AT_START:
+        raise ValueError(
+            "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
+            f"{x[node].tolist()} for the node p = {space.nodes[node].tolist()}; a velocity "
+            "goes into laws.Prescribed(velocity=v), and new triangles know the initial surface by "
+            "remeshed(states, h, problem)"
+        )
+
+
+def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) -> None:
+    """Refuse states whose nodes are not where a prescribed motion has them.
+
+    Raises
+    ------
+    ValueError
+    """
+    law: object = problem.law
+    if not hasattr(law, "position"):
+        return
+    x = law.position(space.nodes, last.t, (last.t, last.x))
+    size = float(np.abs(last.x - last.x.mean(axis=0)).max())
+    distance = np.linalg.norm(x - last.x, axis=1)
+    worst = int(np.argmax(distance))
+    if not distance[worst] <= AT_START * size:
+        raise ValueError(
+            f"start must hold states of this motion, but node {worst} is at "
+            f"{last.x[worst].tolist()}, while X(p, t) = {x[worst].tolist()} at t = {last.t:g}; new "
+            "triangles know the initial surface by remeshed(states, h, problem)"
+        )
+
+
+def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
+    """Refuse an exact solution of another surface, or of another motion than the prescribed one.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution.
+    t : float
+        When to compare it with a prescribed motion.
+
+    Raises
+    ------
+    ValueError
+    """
+    exact = problem.exact
+    assert exact is not None
+    nodes = space.nodes
+    x = finite_array("exact.x", exact.x(nodes.copy(), 0.0), nodes.shape)
+    node, distance = _farthest(space, x)
+    if not distance <= LATER:
+        raise ValueError(
+            "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
+            f"{x[node].tolist()} for the node p = {nodes[node].tolist()}"
+        )
+    if exact.closest is not None:
+        y = finite_array("exact.closest", exact.closest(nodes.copy(), 0.0), nodes.shape)
+        off = np.linalg.norm(y - nodes, axis=1)
+        node, h = int(np.argmax(off)), space.mesh_size(nodes)
+        if not off[node] <= OFF_SURFACE * h:
+            raise ValueError(
+                f"exact must belong to this surface, but the node {nodes[node].tolist()} has a "
+                f"distance of {off[node]:.3g} from the exact surface at t = 0, with triangles of "
+                f"h = {h:.3g}"
+            )
+    if hasattr(problem.law, "position"):
+        x = problem.law.position(nodes, t, (0.0, nodes))
+        wanted = finite_array("exact.x", exact.x(nodes.copy(), t), nodes.shape)
+        node, distance = _farthest(space, wanted, x)
+        if not distance <= LATER:
+            raise ValueError(
+                f"exact must belong to the motion, but at t = {t:g} exact.x(p, t) = "
+                f"{wanted[node].tolist()} and the motion has {x[node].tolist()} for the node p = "
+                f"{nodes[node].tolist()}"
+            )
+
+
+def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
+    """Look at the slip of a law on the surface that a run starts from.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not finite or has the wrong shape.
+
+    Warns
+    -----
+    EvolutionWarning
+        If a good part of it is normal.
+    """
+    if not hasattr(law, "slip"):
+        return
+    at = Surface(space, first.x, first.fields, first.t)
+    w = law.slip(at)
+    if w is None:
+        return
+    w = finite_array("w(at)", w, at.x.shape)
+    normal = nodal_average(at, at.normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    share = float(np.linalg.norm((w * normal).sum(axis=1)) / (np.linalg.norm(w) or 1.0))
+    if share > NORMAL:
+        warnings.warn(
+            f"the slip w must be tangential, but {share:.0%} of it is normal: it moves the surface "
+            "and not only its nodes; w - (w . nu) nu leaves the tangential part",
+            EvolutionWarning,
+            stacklevel=3,
+        )
+
+
+def _farthest(space: SurfaceSpace, x: Array, y: Array | None = None) -> tuple[int, float]:
+    """The node whose positions are farthest apart, and how far relative to the surface."""
+    nodes = space.nodes
+    size = float(np.abs(nodes - nodes.mean(axis=0)).max())
+    distance = np.linalg.norm(x - (nodes if y is None else y), axis=1)
+    node = int(np.argmax(distance))
+    return node, float(distance[node]) / size

@@ -1,0 +1,422 @@
+"""The table of doors: every public function, each argument with a good value."""
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from doors import (
+    Argument,
+    Door,
+    array,
+    flag,
+    function,
+    number,
+    one,
+    option,
+    path,
+    returning,
+    several,
+    text,
+    whole,
+)
+
+import esfem_core as ec
+from esfem_core import elements, solvers, stepping, surfaces, theory
+from esfem_core.output import surface_animation
+from esfem_core.study import ConvergenceTable, final, observed_orders, space_study, time_study
+
+DEGREES = (0, -1, 1000, 10**12)
+NAN = float("nan")
+HUGE = (-1, 10**12, 10**30)
+
+
+def _norm(x):
+    return np.linalg.norm(x, axis=1) - 1
+
+
+def _still(p, t):
+    return p
+
+
+def _turning(x, t):
+    return np.cross([0.0, 0.0, 1.0], x)
+
+
+@cache
+def doors() -> list[Door]:
+    """All of them; made once."""
+    tri = ec.sphere("octahedron", 1)
+    space = ec.SurfaceSpace(tri, 2, ec.to_unit_sphere)
+    x, n = space.nodes, len(space.nodes)
+    T, Q = len(space.cells), len(space.rule.weights)
+    u = x[:, 0] + 0.1
+    at = ec.Surface(space, x, {"u": u, "normal": x}, 0.5)
+    M, A = space.mass_stiffness(x)
+    K = (M + A).tocsr()
+    problem = ec.problems.growing_sphere()
+    states = list(ec.evolve(space, problem, 2, 0.125, 0.5))
+    last = states[-1]
+    points, pairs = np.array([[0.0, 0.6, 1.0], [1.1, 0.1, 0.0]]), np.ones((T, Q))
+    folder = Path(tempfile.mkdtemp())
+    ec.save(folder / "run.npz", states)
+    rough = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    flat = ec.SurfaceSpace(tri)
+    simple = ec.Problem(u0=1.0, motion=_still)
+
+    def evolve(problem=simple, space=rough, order=1, step=0.5, end=1.0, **options):
+        """Run to the end."""
+        return list(ec.evolve(space, problem, order, step, end, **options))
+
+    def run(**given):
+        """Run a problem made of these."""
+        return evolve(ec.Problem(**given))
+
+    def run_species(**given):
+        return evolve(
+            ec.Problem(species={"u": ec.Species(**given)}, law=ec.laws.Prescribed(_still))
+        )
+
+    def run_law(law):
+        return lambda **given: evolve(
+            ec.Problem(species={"u": ec.Species(1.0)}, law=law(**given)), step=0.01, end=0.02
+        )
+
+    def run_exact(**given):
+        return evolve(ec.Problem(1.0, motion=_still, exact=ec.Exact(**given)))
+
+    def lifted(**given):
+        exact = ec.Exact(**{"x": _still, "v": lambda p, t: 0 * p, "u": lambda x, t: x[:, 0],
+                            "closest": lambda x, t: ec.to_unit_sphere(x),
+                            "origin": lambda x, t: ec.to_unit_sphere(x), **given})  # fmt: skip
+        state = ec.State(0.0, x, None, u, space=space)
+        return ec.errors.lifted(space, ec.Problem(u0=1.0, motion=_still, exact=exact), state)
+
+    def surfaces_state(**given):
+        return ec.Surface(**{"space": space, "x": x, **given})
+
+    made = [
+        # surfaces
+        Door("sphere", ec.sphere,
+             {"kind": option("octahedron"), "refinements": whole(1, *HUGE, 13)}),
+        Door("bisected_sphere", surfaces.bisected_sphere, {"bisections": whole(2, *HUGE)}),
+        Door("torus", ec.torus, {"R": number(1.0, 0, -1, 0.4), "r": number(0.4, 0, -1, 1.0),
+                                 "n": whole(8, 2, *HUGE), "m": whole(6, 2, *HUGE)}),
+        Door("to_unit_sphere", ec.to_unit_sphere, {"points": array(points, np.zeros((2, 3)), before=True, rows=True)}),
+        Door("displaced", surfaces.displaced,
+             {"tri": one(tri), "share": number(0.1, -1.0), "project": returning(ec.to_unit_sphere),
+              "seed": whole(0, -1)}),
+        Door("check_triangulation", ec.check_triangulation, {"tri": one(tri)}),
+        Door("mesh_quality", ec.mesh_quality, {"tri": one(tri)}),
+        Door("repair", lambda tri=tri, **o: ec.repair(tri, **{"report": None, **o}),
+             {"tri": one(tri), "holes": whole(12, -1),
+              "report": function(lambda text: None, optional=True)}),
+        Door("read_mesh", lambda source, **o: ec.read_mesh(source, **{"report": None, **o}),
+             {"source": Argument(tri, "listed", [None, 1, 1.5, [], {}, "", "/no/such/file.stl",
+                                                 object(), True])}),
+        Door("project_to_level_set",
+             lambda d=_norm, gradient=None, points=points:
+             ec.project_to_level_set(d, gradient)(points),
+             {"d": returning(_norm),
+              "gradient": returning(lambda x: x, optional=True),
+              "points": array(points, rows=True)}),
+        Door("from_level_set", ec.from_level_set,
+             {"d": returning(_norm), "bounds": array([[-1.3] * 3, [1.3] * 3]),
+              "h": number(0.9, 0, -1, 1e-9),
+              "gradient": returning(lambda x: x / np.linalg.norm(x, axis=1)[:, None],
+                                    optional=True)}),
+        Door("Sphere", lambda radius=1.0, x=points: ec.exact_surfaces.Sphere(radius).near(x),
+             {"radius": number(1.0, 0, -1), "x": array(points, before=True, rows=True)}),
+        Door("Torus", lambda R=1.0, r=0.4, x=points: ec.exact_surfaces.Torus(R, r).near(x),
+             {"R": number(1.0, 0, -1), "r": number(0.4, 0, -1, 2.0), "x": array(points, before=True, rows=True)}),
+        Door("Ellipsoid",
+             lambda axes=(1.0, 1.1, 1.2), x=points: ec.exact_surfaces.Ellipsoid(axes).near(x),
+             {"axes": array((1.0, 1.1, 1.2), (0.0, 1.0, 1.0), (-1.0, 1, 1)), "x": array(points, before=True, rows=True)}),
+        Door("LevelSet",
+             lambda d=_norm, gradient=None, x=points:
+             ec.exact_surfaces.LevelSet(d, gradient).near(x),
+             {"d": returning(_norm), "gradient": returning(lambda x: x, optional=True),
+              "x": array(points, before=True, rows=True, called=("points", "d"))}),
+        # elements
+        Door("SurfaceSpace", ec.SurfaceSpace,
+             {"tri": one(tri), "degree": whole(2, *DEGREES),
+              "project": returning(ec.to_unit_sphere, optional=True),
+              "exactness": whole(4, -1, 10**9, 0, optional=True),
+              "project_vertices": flag(False)}),
+        Door("from_nodes", ec.SurfaceSpace.from_nodes,
+             {"nodes": array(space.nodes), "cells": array(space.cells, space.cells + 1),
+              "exactness": whole(4, -1, 10**9, 0, optional=True), "order": option("vtk")}),
+        Door("mass_stiffness", space.mass_stiffness, {"x": array(x)}),
+        Door("mass", space.mass, {"x": array(x)}),
+        Door("evaluate", space.evaluate, {"u": array(u, finite=False, after=True)}),
+        Door("gradient", space.gradient, {"x": array(x), "u": array(u, finite=False, after=True)}),
+        Door("load", space.load, {"x": array(x), "values": array(pairs, finite=False, after=True)}),
+        Door("integrate", space.integrate,
+             {"x": array(x), "values": array(pairs, finite=False, constant=True, after=True)}),
+        Door("interpolate", space.interpolate,
+             {"function": returning(lambda x: x[:, 0], any_shape=True), "x": array(x)}),
+        Door("probe", space.probe, {"x": array(x), "u": array(u, after=True), "points": array(points, rows=True)}),
+        Door("mass_times", space.mass_times, {"x": array(x), "u": array(u, finite=False, after=True)}),
+        Door("mesh_size", space.mesh_size, {"x": array(x)}),
+        Door("normals", space.normals, {"x": array(x)}),
+        Door("density", space.density, {"x": array(x)}),
+        Door("quadrature_points", space.quadrature_points, {"x": array(x)}),
+        Door("basis_gradients", space.basis_gradients, {"x": array(x)}),
+        Door("Surface", surfaces_state,
+             {"space": one(space), "x": array(x, finite=False), "t": number(0.0),
+              "fields": Argument({"u": u}, "listed",
+                                 ["a", 1.0, [], {"u": "a"}, {1: u}, {"u": u[:-1]}, {"u": None},
+                                  {"u": u * 1j}, u[:-1], u * 1j], called=("u",))}),
+        Door("Surface.load", lambda values=1.0, **o: at.load(values, **o),
+             {"values": array(pairs, finite=False, constant=True, optional=True, after=True),
+              "flux": array(np.ones((T, Q, 3)), finite=False, optional=True)}),
+        Door("Surface.integral", at.integral, {"values": array(pairs, finite=False, constant=True, after=True)}),
+        Door("Surface.mean", at.mean, {"values": array(pairs, finite=False, constant=True, after=True)}),
+        Door("Surface.matrix", at.matrix,
+             {"mass": array(pairs, finite=False, constant=True),
+              "stiffness": array(pairs, finite=False, constant=True)}),
+        Door("triangle_rule", elements.triangle_rule, {"exactness": whole(3, -1, 10**9)}),
+        # laws and problems
+        Door("Species", ec.Species,
+             {"initial": Argument(1.0, "listed", ["a", [], {}, np.array(["a"]), object(), True]),
+              "source": function(lambda at: at.u, optional=True),
+              "rate": Argument(1.0, "listed", [-1, "a", [], NAN, 1j, True, {}]),
+              "diffusivity": Argument(1.0, "listed", [None, "1", -1, NAN, [], [-1.0], [NAN], {},
+                                                      np.ones((2, 2)), 1j, True]),
+              "conserved": flag(True)}),
+        Door("Species, run", run_species,
+             {"initial": returning(lambda x: x[:, 0], constant=True, called=("u0",), instead=(int,)),
+              "source": returning(lambda at: at.u, constant=True, instead=(None,)),
+              "rate": returning(lambda at: 0 * at.u, constant=True, instead=(int, None)),
+              "diffusivity": returning(lambda at: 0 * at.u + 1, constant=True, instead=(int,))}),
+        Door("Problem", ec.Problem,
+             {"u0": Argument(1.0, "listed", ["a", [], {}, object(), True, NAN]),
+              "f": function(lambda at: at.u, optional=True),
+              "g": function(lambda at: at.u, optional=True),
+              "alpha": number(1.0, -1, optional=True), "beta": number(1.0, -1, optional=True),
+              "diffusivity": Argument(1.0, "listed", [-1, "a", [], NAN, 1j, True, {}, [-1.0], ["a"]]),
+              "exact": one(problem.exact, optional=True)}),
+        Door("Problem, motion", lambda u0=1.0, **o: ec.Problem(u0, **o),
+             {"motion": function(_still, optional=True)}),
+        Door("Problem, species", ec.Problem,
+             {"species": Argument({"a": ec.Species(1.0)}, "listed",
+                                  [1, "a", [], [ec.Species(1.0)], {"a": 1}, {1: ec.Species(1.0)},
+                                   ec.Species(1.0), {"x": ec.Species(1.0)}, {"a": None}]),
+              "law": Argument(ec.laws.Regularised(), "listed",
+                              [1, "a", [], {}, ec.laws.Regularised, object()])}),
+        Door("Problem, run", run,
+             {"u0": returning(lambda x: x[:, 0] + 2, constant=True, instead=(int, None)),
+              "f": returning(lambda at: at.u, constant=True, instead=(None,)),
+              "g": returning(lambda at: 0.1 * at.u, constant=True, instead=(None,))}),
+        Door("Problem, run with a motion", lambda motion: run(u0=1.0, motion=motion),
+             {"motion": returning(_still, instead=(None,))}),
+        Door("Prescribed, run", lambda velocity: run_law(ec.laws.Prescribed)(velocity=velocity),
+             {"velocity": returning(_turning)}),
+        Door("Exact", ec.Exact,
+             {"x": function(_still), "v": function(_still),
+              "u": function(lambda x, t: x[:, 0], optional=True),
+              "closest": function(_still, optional=True),
+              "origin": function(_still, optional=True),
+              "fields": Argument({}, "listed", [1, "a", [], {"a": 1}, {1: _still}, None])}),
+        Door("Exact, run", run_exact,
+             {"x": returning(_still, called=("exact.x",)),
+              "v": returning(_still, called=("exact.v",)),
+              "u": returning(lambda x, t: np.ones(len(x)), called=("exact.u",), instead=(None,))}),
+        Door("lifted", lifted,
+             {"x": returning(_still), "v": returning(lambda p, t: 0 * p),
+              "u": returning(lambda x, t: x[:, 0], instead=(None,)),
+              "closest": returning(lambda x, t: ec.to_unit_sphere(x)),
+              "origin": returning(lambda x, t: ec.to_unit_sphere(x))}),
+        Door("Regularised", ec.laws.Regularised,
+             {"alpha": number(1.0, -1), "beta": number(1.0, -1),
+              "g": function(lambda at: at.u, optional=True)}),
+        Door("MeanCurvature", ec.laws.MeanCurvature,
+             {"beta": number(1.0, 0, -1), "g": function(lambda at: at.u, optional=True),
+              "normal": Argument(None, "listed", ["a", 1.0, [], {}, object(), True]),
+              "curvature": Argument(None, "listed", ["a", [], {}, object(), True])}),
+        Door("MeanCurvature, run", run_law(ec.laws.MeanCurvature),
+             {"normal": returning(lambda x: x, instead=(None,)),
+              "curvature": returning(lambda x: 2 + 0 * x[:, 0], called=("H",), instead=(None,)),
+              "g": returning(lambda x, t: 0 * x[:, 0], instead=(None,))}),
+        Door("Dynamic", ec.laws.Dynamic,
+             {"v0": Argument(0.0, "listed", ["a", [], {}, object(), True, None, NAN, [1.0, 2.0],
+                                             np.ones((2, 3, 4)), 1j]),
+              "alpha": number(1.0, -1), "beta": number(1.0, -1),
+              "g": function(lambda at: at.u, optional=True)}),
+        Door("Dynamic, run", run_law(ec.laws.Dynamic),
+             {"v0": returning(lambda x: x, instead=(int, np.ndarray)),
+              "g": returning(lambda at: 0 * at.density, constant=True,
+                             instead=(None,))}),
+        Door("Elastic", ec.laws.Elastic, {"rate": number(10.0, 0, -1), "area": number(1.0, -1)}),
+        Door("VolumePreserving", ec.laws.VolumePreserving, {"law": one(ec.laws.Regularised())}),
+        Door("with_slip", ec.laws.with_slip,
+             {"law": Argument(ec.laws.Regularised(), "listed",
+                              [None, 1, "a", [], {}, object(), ec.laws.Regularised]),
+              "w": Argument("elastic", "listed", [None, 1, "no such", [], {}, True])}),
+        Door("with_slip, run",
+             lambda w: run_law(lambda: ec.laws.with_slip(ec.laws.Regularised(), w))(),
+             {"w": returning(lambda at: np.cross([0, 0, 1.0], at.x))}),
+        Door("expanding_sphere", ec.problems.expanding_sphere,
+             {"coupling": option("smooth"), "alpha": number(1.0, -1), "beta": number(1.0, -1)}),
+        Door("growing_sphere", ec.problems.growing_sphere,
+             {"alpha": number(1.0, -1), "beta": number(1.0, -1), "delta": number(1.0),
+              "u0": number(4.0)}),
+        Door("shrinking_sphere", ec.problems.shrinking_sphere,
+             {"alpha": number(1.0, -1), "beta": number(1.0, -1), "u0": number(1.0)}),
+        Door("logistic_sphere", ec.problems.logistic_sphere,
+             {"alpha": number(1.0, -1), "beta": number(1.0, -1), "delta": number(0.4),
+              "limit": number(2.0, 0, -1), "rate": number(0.5, 0, -1)}),
+        Door("oscillating_ellipsoid", ec.problems.oscillating_ellipsoid,
+             {"solution": option("decay"), "evaluation": option("direct")}),
+        Door("baseball_bat", ec.problems.baseball_bat,
+             {"u0": Argument(None, "listed", ["a", [], {}, object(), True])}),
+        # stepping
+        Door("delta", ec.bdf.delta, {"p": whole(2, 0, *HUGE)}),
+        Door("gamma", ec.bdf.gamma, {"p": whole(2, 0, *HUGE)}),
+        Door("extrapolate", ec.bdf.extrapolate,
+             {"values": Argument([u, u], "listed", [None, 1, "a", [], ["a"], [None], [u, u[:-1]],
+                                                    [u * 1j], {}])}),
+        Door("evolve", evolve,
+             {"space": one(rough), "problem": one(simple), "order": whole(1, 0, 7, *HUGE),
+              "step": number(0.5, 0, -1, 1e-320, 0.3), "end": number(1.0, -1, 0.7),
+              "mass": option("updated"),
+              "start": Argument("euler", "listed", [1, "no", [], {}, True, NAN, [None], [1, 2],
+                                                    object(), [last]]),
+              "solver": Argument("direct", "listed", [None, 1, "no", [], {}, lambda: None,
+                                                      lambda: object(), True]),
+              "allow_unstable": flag(False),
+              "perturbation": Argument(None, "listed", [1, "a", [], lambda n: None, lambda n: 1,
+                                                        lambda n: {"u": "a"}, lambda n: (1, 2),
+                                                        lambda n: {"no": x}, lambda n: {1: x},
+                                                        lambda n: {"u": u}]),
+              "growth": Argument(1e12, "listed", [0, 1, -1, NAN, None, "a", [], 1j, True, np.ones(2)]),
+              "statistics": Argument(None, "listed", [1, "a", [], {}, True, object(),
+                                                      ec.Statistics]),
+              "save": path(str(folder / "out.npz"), optional=True), "every": whole(50, 0, -1)}),
+        Door("State", lambda **o: ec.State(**{"t": 0.0, "x": x, **o}),
+             {"t": number(0.0), "x": array(x, finite=False, rows=True),
+              "v": array(x, finite=False, optional=True),
+              "u": array(u, finite=False, optional=True, after=True),
+              "space": one(space, optional=True),
+              "fields": Argument(None, "listed", [1, "a", [], {"a": "b"}, {1: u}, {"u": u[:-1]}],
+                                 called=("u", "a")),
+              "products": Argument(None, "listed", [1, "a", [], {"a": "b"}, {1: u}]),
+              "method": Argument(None, "listed", [1, "a", [], (1, 2), ("no", 1, 0.1),
+                                                  ("updated", 1.5, 0.1), ("updated", 1, NAN)])}),
+        Door("measure", ec.measure, {"state": one(last)}),
+        Door("exact_state", stepping.exact_state,
+             {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("save", ec.save, {"path": path(str(folder / "a.npz")), "states": several(states)}),
+        Door("load file", ec.load, {"path": path(str(folder / "run.npz"))}),
+        Door("respaced", ec.respaced,
+             {"states": several(states), "step": number(0.1, 0, -1),
+              "order": whole(2, 0, *HUGE, optional=True)}),
+        # errors and studies
+        Door("seminorm", ec.errors.seminorm, {"matrix": one(M), "w": array(u, after=True)}),
+        Door("compare", ec.errors.compare,
+             {"space": one(space), "problem": one(problem), "state": one(last)}),
+        Door("errors.lifted", ec.errors.lifted,
+             {"space": one(space), "problem": one(problem), "state": one(last)}),
+        Door("difference", ec.errors.difference,
+             {"space": one(space), "state": one(last), "reference": one(last)}),
+        Door("time_norms", ec.errors.time_norms,
+             {"space": one(space), "problem": one(problem), "states": several(states),
+              "window": array((0.0, 0.5), (0.5, 0.0), (NAN, 1.0), finite=False), "measure": function(ec.errors.compare)}),
+        Door("observed_orders", observed_orders,
+             {"sizes": array([0.4, 0.2], [1.0, -1.0], [1.0, 1.0]),
+              "values": array([4.0, 1.0], [-1.0, 1.0], finite=False)}),
+        Door("ConvergenceTable", ConvergenceTable,
+             {"parameter": text("h"), "sizes": array([0.4, 0.2]),
+              "errors": Argument({"a": [1.0, 2.0]}, "listed",
+                                 [None, 1, "a", [], {"a": 1}, {"a": [1.0]}, {1: [1.0, 2.0]}],
+                                 called=("a",))}),
+        Door("final", final, {"states": several(states)}),
+        Door("time_study",
+             lambda space=rough, problem=problem, order=1, steps=(0.5,), end=0.5, **o:
+             time_study(space, problem, order, steps, end, **o),
+             {"space": one(rough), "problem": one(problem), "order": whole(1, 0, 7),
+              "steps": array([0.5], [0.0], [], called=("step",)), "end": number(0.5, -1),
+              "reference": one(last, optional=True), "measure": function(ec.errors.compare),
+              "fine": Argument(None, "listed", [1, "a", [], [None], {}, [1, 2]])}),
+        Door("space_study",
+             lambda spaces=(rough,), problem=problem, order=1, step=0.5, end=0.5, **o:
+             space_study(spaces, problem, order, step, end, **o),
+             {"spaces": several([rough]), "problem": one(problem), "order": whole(1, 0, 7),
+              "step": number(0.5, 0, -1), "end": number(0.5, -1),
+              "measure": function(ec.errors.compare)}),
+        # theory
+        Door("smallest_eta", ec.multipliers.smallest_eta, {"p": whole(3, 0, 6, *HUGE)}),
+        Door("g_matrix", ec.multipliers.g_matrix,
+             {"p": whole(3, 0, 6, *HUGE), "eta": number(0.5, 1, 2, -1, 0.0)}),
+        Door("gammas", ec.multipliers.gammas,
+             {"p": whole(3, 0, 6, *HUGE), "eta": number(0.5, 1, 2, -1, 0.0)}),
+        Door("g_matrix_of", ec.multipliers.g_matrix_of,
+             {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
+        Door("gammas_of", ec.multipliers.gammas_of,
+             {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
+        Door("bdf_kernel", ec.peano.bdf_kernel,
+             {"p": whole(2, 0, *HUGE), "degree": whole(1, 0, 3, optional=True)}),
+        Door("extrapolation_kernel", ec.peano.extrapolation_kernel,
+             {"p": whole(2, 0, *HUGE), "degree": whole(1, 0, 3, optional=True)}),
+        Door("forms.mass", ec.forms.mass,
+             {"space": one(space), "x": array(x), "weight": array(pairs, optional=True)}),
+        Door("forms.stiffness", ec.forms.stiffness,
+             {"space": one(space), "x": array(x),
+              "tensor": array(np.ones((T, Q, 3, 3)), optional=True)}),
+        Door("forms.divergence", ec.forms.divergence,
+             {"space": one(space), "x": array(x), "v": array(x)}),
+        Door("forms.deformation", ec.forms.deformation,
+             {"space": one(space), "x": array(x), "v": array(x)}),
+        Door("forms.mass_rate", ec.forms.mass_rate,
+             {"space": one(space), "x": array(x), "v": array(x)}),
+        Door("forms.lift", ec.forms.lift,
+             {"space": one(space), "x": array(x), "surface": one(ec.exact_surfaces.Sphere())}),
+        Door("forms.gradient_load", ec.forms.gradient_load,
+             {"space": one(space), "x": array(x), "field": array(np.ones((T, Q, 3)))}),
+        Door("forms.relative_norm", ec.forms.relative_norm,
+             {"form": one(M), "norm": one(K), "seminorm": flag(False)}),
+        Door("dual_norm", ec.defects.dual_norm, {"K": one(K), "functional": array(u, after=True)}),
+        Door("defects", ec.defects.defects,
+             {"space": one(space), "problem": one(problem), "order": whole(1, 0),
+              "step": number(0.1, 0, -1), "n": whole(2, 0, -1)}),
+        Door("spatial_defects", ec.defects.spatial_defects,
+             {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("prolongation", theory.ritz.prolongation, {"space": one(flat), "fine": one(space)}),
+        Door("ritz_projection", theory.ritz.ritz_projection,
+             {"space": one(flat), "x": array(flat.nodes), "fine": one(space), "y": array(x),
+              "z": array(u)}),
+        # solvers
+        Door("LaggedSolver", ec.LaggedSolver,
+             {"rtol": number(1e-9, 0, 1, -1), "price": whole(30, 0, -1),
+              "factorise": function(solvers.superlu)}),
+        Door("DirectSolver", ec.DirectSolver, {"factorise": function(solvers.superlu)}),
+        Door("LaggedSolver.solve", lambda A=K, b=u, guess=u: ec.LaggedSolver().solve(A, b, guess),
+             {"A": one(K), "b": array(u, after=True, called=("guess",)), "guess": array(u, finite=False)}),
+        Door("DirectSolver.solve", lambda A=K, b=u, guess=u: ec.DirectSolver().solve(A, b, guess),
+             {"A": one(K), "b": array(u, after=True)}),
+        Door("superlu", solvers.superlu,
+             {"A": one(K), "order": array(np.arange(n), np.zeros(n), optional=True)}),
+        # output
+        Door("plot", ec.plot,
+             {"state": one(last), "values": Argument("u", "listed", ["no", 1.0, [], u[:-1], {},
+                                                                     lambda s: None]),
+              "title": text("a", optional=True), "label": text("a", optional=True),
+              "limits": array((0.0, 1.0), (1.0, 0.0), optional=True)}),
+        Door("animate", ec.animate,
+             {"states": several(states[:1]), "values": Argument("u", "listed", ["no", 1.0, [], {}]),
+              "path": Argument(None, "listed", [1, [], "a.txt", "", b"a.gif"]),
+              "title": text("a"), "label": text("a", optional=True),
+              "limits": array((0.0, 1.0), (1.0, 0.0), optional=True),
+              "duration": whole(80, 0, -1)}),
+        Door("surface_animation", surface_animation,
+             {"space": one(space), "states": several(states[:1]),
+              "values": function(lambda s: s.u, optional=True), "title": text("a"),
+              "label": text("a"), "div_id": text("a"), "duration": whole(80, 0, -1)}),
+        Door("save_series", ec.save_series,
+             {"path": Argument(str(folder / "a.pvd"), "listed", [1, None, [], "a.txt", "", b"a"]),
+              "states": several(states[:1]), "normals": flag(False), "go_on": flag(False)}),
+        Door("save_table", ec.save_table,
+             {"path": Argument(str(folder / "a.csv"), "listed", [1, None, [], "a.txt", "", b"a"]),
+              "rows": Argument([ec.measure(last)], "listed", [None, 1, "a", [1], [None], ["a"]])}),
+    ]  # fmt: skip
+    return made
