@@ -284,8 +284,8 @@ def items(name: str, values: object, kind: type[Kind], least: int = 1) -> list[K
     each = iterable(name, values, plural)
     found = [object_of(f"{name}[{i}]", value, kind) for i, value in enumerate(each)]
     if len(found) < least:
-        fewest = "one" if least == 1 else str(least)
-        raise ValueError(f"{name} must hold at least {fewest} of {plural}, got {len(found)}")
+        fewest = f"one {kind.__name__}" if least == 1 else f"{least} {plural}"
+        raise ValueError(f"{name} must hold at least {fewest}, got {len(found) or 'none'}")
     return found
 
 

@@ -175,7 +175,7 @@ def animate(
     Growth: 6 frames, t = 0 to 0.5
     """
     file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
-    whole_number("duration", duration, 1)
+    duration = whole_number("duration", duration, 1)
     string("title", title)
     if label is not None:
         string("label", label)

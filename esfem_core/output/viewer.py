@@ -109,7 +109,7 @@ def viewer(
     TypeError, ValueError
         If `duration` or `limits` are none.
     """
-    whole_number("duration", duration, 1)
+    duration = whole_number("duration", duration, 1)
     room = cube([shot.x for shot in shots])
     shades = colour_range([shot.colours for shot in shots], limits)
     times = [f"{shot.t:.4g}" for shot in shots]

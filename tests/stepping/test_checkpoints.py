@@ -445,7 +445,7 @@ def test_respaced_says_how_far_the_states_must_reach_back():
         ec.respaced(states, 0)
     with pytest.raises(ValueError, match="order must be an integer from 1 to 100, got 0"):
         ec.respaced(states, 0.1, order=0)
-    with pytest.raises(ValueError, match="at least one of States"):
+    with pytest.raises(ValueError, match="at least one State"):
         ec.respaced([], 0.1)
 
 
