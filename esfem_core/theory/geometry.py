@@ -37,21 +37,21 @@ Function = Callable[[Array], Array]
 
 
 class GeometricErrors(NamedTuple):
-    """Errors of a discrete surface against the exact one; all are floats.
+    """Errors of a discrete surface against the exact one.
 
     Attributes
     ----------
-    distance, normal
+    distance, normal : float
         Largest distance and largest difference of the normals, [N] Lemma 5.2.
-    m, a, q
+    m, a, q : float
         Largest weight of the differences of the forms, [N] Lemma 5.4.
-    velocity
+    velocity : float
         L2 norm of v̂_h - v, the velocity of the lifted surface less that of the exact one.
-    u_l2, u_h1
+    u_l2, u_h1 : float
         Errors of the lifted interpolant of u, [N] Lemma 5.3, and of its gradient.
-    b
+    b : float
         L2 norm of (I - B_h) grad u, [N] (6.3).
-    m_smooth, a_smooth
+    m_smooth, a_smooth : float
         Differences of the forms with the interpolant of u in both arguments.
     """
 
