@@ -1,0 +1,90 @@
+"""Errors of the geometry: spheres of another radius, where all is known, and a torus."""
+
+import numpy as np
+import pytest
+
+import esfem_core as ec
+from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
+from esfem_core.theory import forms, geometry
+
+
+def linear(x):
+    return x[..., 2]
+
+
+def linear_gradient(x):
+    return 0 * x + [0.0, 0.0, 1.0]
+
+
+def errors(space, radius):
+    return geometry.geometric_errors(
+        space,
+        lambda t: Sphere(radius * (1 + t)),
+        lambda x, t: (1 + t) * x,
+        lambda x: x,
+        linear,
+        linear_gradient,
+    )
+
+
+def test_the_errors_of_a_sphere_of_another_radius_are_known():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 3, ec.to_unit_sphere, exactness=8)
+    found = errors(space, 2.0)
+    # points of the unit sphere are 1 away from the sphere of radius 2, whose area is four times
+    # as large; a Dirichlet integral does not see the scaling
+    assert abs(found.distance - 1) < 1e-3
+    assert abs(found.m - 3) < 1e-2
+    assert found.a < 1e-2
+    assert found.normal < 1e-2
+    assert found.velocity < 1e-12
+    assert abs(found.u_l2 / np.sqrt(4 / 3 * np.pi * 4) - 1) < 1e-3  # lifts of x3 are x3 / 2
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_they_fall_with_the_mesh_size(degree):
+    coarse, fine = (
+        errors(ec.SurfaceSpace(ec.sphere("icosahedron", n), degree, ec.to_unit_sphere), 1.0)
+        for n in (1, 2)
+    )
+    for name in ("distance", "normal", "m", "a", "q", "u_l2", "u_h1", "b", "m_smooth"):
+        assert getattr(fine, name) < 0.6 * getattr(coarse, name), name
+
+
+@pytest.mark.parametrize("surface", [Torus(), Ellipsoid((1.4, 1.1, 0.8))])
+def test_the_differential_of_the_closest_point_is_a_difference_quotient(surface):
+    x = surface.closest(np.array([[1.2, 0.3, 0.2], [-0.9, 0.8, 0.3]])) * 1.05
+    exact = geometry.closest_point_derivative(surface, x)
+    for i, shift in enumerate(1e-5 * np.eye(3)):
+        quotient = (surface.closest(x + shift) - surface.closest(x - shift)) / 2e-5
+        np.testing.assert_allclose(exact[..., i], quotient, atol=1e-8)
+
+
+def test_the_operators_turn_gradients_and_products_of_lifts_back():
+    space = ec.SurfaceSpace(ec.torus(1.0, 0.4, 20, 8), 1)
+    x, w, z = space.nodes, *np.random.default_rng(1).normal(size=(2, len(space.nodes)))
+    B, R = geometry.lift_operators(space, x, Torus())
+    onto = forms.lift(space, x, Torus())
+    grad_w, grad_z = space.gradient(x, w), space.gradient(x, z)
+    lifted_w, lifted_z = (geometry.apply(onto.gradient, g) for g in (grad_w, grad_z))
+    np.testing.assert_allclose(geometry.apply(B, lifted_w), grad_w, atol=1e-12)  # [LMV] (5.7)
+    product = onto.ratio * np.sum(geometry.apply(R, lifted_w) * lifted_z, axis=-1)
+    np.testing.assert_allclose(product, np.sum(grad_w * grad_z, axis=-1), atol=1e-11)  # (5.8)
+
+
+def test_the_norm_over_the_lift_is_that_over_the_exact_surface():
+    space = ec.SurfaceSpace(ec.torus(1.0, 0.4, 40, 16), 2, Torus().closest, exactness=10)
+    onto = forms.lift(space, space.nodes, Torus())
+    norm = geometry.lifted_norm(space, space.nodes, onto, onto.normal)
+    assert abs(norm**2 / (4 * np.pi**2 * 0.4) - 1) < 1e-6
+
+
+def test_sizes_are_frobenius_norms():
+    tensors = np.zeros((1, 2, 3, 3))
+    tensors[0, 1] = 2.0
+    assert geometry.largest_norm(tensors) == pytest.approx(6.0)
+    assert geometry.largest_norm(tensors[..., 0]) == pytest.approx(np.sqrt(12))
+
+
+def test_a_normal_that_is_no_vector_is_refused():
+    with pytest.raises(ValueError, match="normal must have shape"):
+        geometry.tangent_projection([1.0, 0.0])
