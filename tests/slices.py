@@ -83,14 +83,27 @@ def bound(statement: ast.stmt) -> set[str]:
     return found - _targets(statement)
 
 
+def _is_expectation(node: ast.AST) -> bool:
+    """Whether this is expect(...), which says what a chapter states beside its claims."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Call)
+        and getattr(node.value.func, "id", "") == "expect"
+    )
+
+
 class _WithoutAsserts(ast.NodeTransformer):
     def visit_Assert(self, node: ast.Assert) -> ast.stmt:
         return ast.copy_location(ast.Pass(), node)
 
+    def visit_Expr(self, node: ast.Expr) -> ast.stmt:
+        return ast.copy_location(ast.Pass(), node) if _is_expectation(node) else node
+
 
 def needed(body: list[ast.stmt], last: int, call: ast.Call) -> list[ast.stmt]:
     """Return the statements before the `last` on which a call depends, without their asserts."""
-    candidates = [(s, bound(s), loaded(s)) for s in body[:last] if not isinstance(s, ast.Assert)]
+    stated = (s for s in body[:last] if not (isinstance(s, ast.Assert) or _is_expectation(s)))
+    candidates = [(s, bound(s), loaded(s)) for s in stated]
     names, size = loaded(ast.Expression(call)), 0
     while len(names) > size:  # a function may read what is bound only after it
         size = len(names)

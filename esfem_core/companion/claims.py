@@ -1,8 +1,10 @@
 """Claims of a paper, the numbers that test them, and the verdict that follows.
 
 A notebook measures something, says what the paper lets one expect, and ends the cell with `claim`.
-A claim that fails as printed says how it fails; the measurements have to bear that out. The verdict
-is computed here and nowhere else; the companion book's ledger recomputes it from the same numbers.
+A claim that fails as printed says how it fails; the measurements have to bear that out in the
+build of the book, and a reader whose parameters they belong to is told that they do not. The
+verdict is computed here and nowhere else; the companion book's ledger recomputes it from the same
+numbers.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from esfem_core.companion.checking import STRICT
 
 __all__ = [
     "CONFIRMED",
+    "DIFFERS",
     "PROOF_ONLY",
     "SIGNS",
     "Claim",
@@ -46,6 +49,8 @@ reproduced" was observed by the paper and is measured otherwise here.
 
 CONFIRMED = "confirmed"
 PROOF_ONLY = "proof only"
+DIFFERS = "differs from the book"
+"""Said of a claim that a reader's parameters do not bear out; no verdict of the ledger."""
 
 SIGNS = {
     "contradicted": "✗",
@@ -132,7 +137,12 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """`CONFIRMED` if all measurements of the printed form hold, else the kind of failure."""
+        """`CONFIRMED` if all measurements of the printed form hold, else the kind of failure.
+
+        `DIFFERS` if the measurements do not bear out either.
+        """
+        if _fault(self):
+            return DIFFERS
         return CONFIRMED if self.kind is None else self.kind
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,10 +176,11 @@ class Claim:
     def lines(self) -> list[tuple[str, Measurement]]:
         """All measurements, each with the form of the claim that it is about."""
         printed = [("as printed", m) for m in self.as_printed]
-        return printed + [(_SECOND[self.verdict], m) for m in self.corrected]
+        second = _SECOND[self.kind] if self.kind else "corrected"
+        return printed + [(second, m) for m in self.corrected]
 
     def __repr__(self) -> str:
-        lines = [f"{SIGNS[self.verdict]} {self.id}: {self.verdict}"]
+        lines = [f"{_sign(self.verdict)} {self.id}: {self.verdict}"]
         lines += [
             f"  {form}: {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
             for form, m in self.lines()
@@ -187,12 +198,16 @@ class Claim:
         return (
             f'<div class="esfem-claim esfem-{verdict}" id="check-{anchor(self.id)}" '
             f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
-            f'<p><span class="esfem-verdict">{SIGNS[self.verdict]} {self.verdict}</span> '
+            f'<p><span class="esfem-verdict">{_sign(self.verdict)} {self.verdict}</span> '
             f'claim <a href="ledger.html#claim-{anchor(self.id)}">{self.id}</a></p>'
             '<div class="esfem-table"><table><thead><tr>'
             "<th>measured</th><th>form</th><th>value</th><th>must be</th><th>result</th>"
             f"</tr></thead><tbody>{rows}</tbody></table></div>{note}</div>"
         )
+
+
+def _sign(verdict: str) -> str:
+    return SIGNS.get(verdict, "?")
 
 
 def anchor(id: str) -> str:
@@ -323,15 +338,16 @@ def claim(
     Returns
     -------
     Claim
-        Its verdict is "confirmed" if all of `as_printed` hold, and otherwise its kind.
+        Its verdict is "confirmed" if all of `as_printed` hold, and otherwise its kind. Where the
+        measurements do not bear that out, it is `DIFFERS`, and a line is printed.
 
     Raises
     ------
     AssertionError
-        If the measurements do not bear out the verdict: one of `as_printed` fails and there is no
-        `kind`; all of them hold and there is one; one of `corrected` fails. Or if the verdict is
-        not the one that `accepted` has, and the environment variable ESFEM_STRICT is set, as in the
-        tests. Elsewhere a line is printed.
+        If the environment variable ESFEM_STRICT is set, as in the build of the book and its tests:
+        the measurements do not bear out the verdict (one of `as_printed` fails and there is no
+        `kind`; all of them hold and there is one; one of `corrected` fails), or the verdict is not
+        the one that `accepted` has. A reader, who may have changed a parameter, is told.
     TypeError, ValueError
         If the id is malformed, a measurement is missing or none, the kind is unknown, a misprint or
         a restricted claim has no `corrected`, or a claim of the other two kinds has neither
@@ -345,23 +361,29 @@ def claim(
     >>> printed, other = measure("order", 0, at_least=3), measure("order", 3, at_least=3)
     >>> claim("N-2.18-extrapolation", printed, corrected=[other], kind="misprint").verdict
     'misprint'
-    >>> claim("N-2.18-extrapolation", printed)
-    Traceback (most recent call last):
-        ...
-    AssertionError: claim N-2.18-extrapolation fails as printed and does not say its kind: ...
     """
-    found = _checked(Claim(id, as_printed, tuple(corrected), kind, note))
+    found = _well_formed(Claim(id, as_printed, tuple(corrected), kind, note))
     in_the_book = accepted().get(id)
-    if found.verdict != in_the_book:
+    if fault := _fault(found):
+        text = f"claim {id} {fault}"
+    elif found.verdict != in_the_book:
         text = f"claim {id}: {found.verdict} here, {in_the_book or 'unknown'} in the book"
-        if os.environ.get(STRICT):
-            raise AssertionError(f"{text}\n{found!r}")
-        print(text)
+    else:
+        return found
+    if os.environ.get(STRICT):
+        raise AssertionError("\n".join([f"{text}:", *_measured(found)]))
+    print(text)
     return found
 
 
 def _checked(found: Claim) -> Claim:
     """The claim, if it is well formed and its measurements bear out its verdict."""
+    if fault := _fault(_well_formed(found)):
+        raise AssertionError("\n".join([f"claim {found.id} {fault}:", *_measured(found)]))
+    return found
+
+
+def _well_formed(found: Claim) -> Claim:
     name = found.id
     if not _ID.fullmatch(name):
         raise ValueError(
@@ -380,21 +402,26 @@ def _checked(found: Claim) -> Claim:
             raise ValueError(f"claim {name}: measure what holds instead: corrected=[...]")
         if not found.corrected and not found.note:
             raise ValueError(f"claim {name}: say what holds instead, in corrected=[...] or a note")
-    holds = all(m.holds for m in found.as_printed)
-    fault = ""
-    if not holds and found.kind is None:
-        fault = "fails as printed and does not say its kind"
-    elif holds and (found.kind or found.corrected):
-        fault = "holds as printed, and has nothing to correct"
-    elif not all(m.holds for m in found.corrected):
-        fault = "fails in its corrected form"
-    if fault:
-        lines = (
-            f"  {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
-            for m in (*found.as_printed, *found.corrected)
-        )
-        raise AssertionError("\n".join([f"claim {name} {fault}:", *lines]))
     return found
+
+
+def _fault(found: Claim) -> str:
+    """How the measurements contradict the verdict; empty if they do not."""
+    holds = all(m.holds for m in found.as_printed)
+    if not holds and found.kind is None:
+        return "fails as printed and does not say its kind"
+    if holds and (found.kind or found.corrected):
+        return "holds as printed, and has nothing to correct"
+    if not all(m.holds for m in found.corrected):
+        return "fails in its corrected form"
+    return ""
+
+
+def _measured(found: Claim) -> list[str]:
+    return [
+        f"  {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
+        for m in (*found.as_printed, *found.corrected)
+    ]
 
 
 @cache

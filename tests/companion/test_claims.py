@@ -11,6 +11,7 @@ import pytest
 from esfem_core.companion import claims
 from esfem_core.companion.claims import (
     CONFIRMED,
+    DIFFERS,
     PROOF_ONLY,
     SIGNS,
     Claim,
@@ -130,14 +131,21 @@ def test_the_verdict_is_confirmed_or_the_kind_of_a_failure(as_printed, corrected
         ([BAD], [BAD], "not reproduced", "fails in its corrected form"),
     ],
 )
-def test_measurements_that_do_not_bear_out_the_verdict_end_the_cell(
-    as_printed, corrected, kind, message
+def test_measurements_that_do_not_bear_out_the_verdict_end_a_strict_run_and_are_told_to_a_reader(
+    as_printed, corrected, kind, message, monkeypatch, capsys
 ):
+    found = claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
+    assert capsys.readouterr().out == f"claim {ID} {message}\n"
+    assert found.verdict == DIFFERS
+    assert repr(found).startswith(f"? {ID}: differs from the book")
+    assert "differs from the book" in found._repr_html_()
+    monkeypatch.setenv(claims.STRICT, "1")
     with pytest.raises(AssertionError, match=f"claim {ID} {message}"):
         claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
 
 
-def test_what_fails_is_told_with_its_numbers():
+def test_what_fails_is_told_with_its_numbers(monkeypatch):
+    monkeypatch.setenv(claims.STRICT, "1")
     with pytest.raises(AssertionError) as error:
         claim(ID, GOOD, BAD)
     assert str(error.value).splitlines()[1:] == ["  good = 1 (≤ 2) ✓", "  bad = 3 (≤ 2) ✗"]
