@@ -1,6 +1,6 @@
 """The book's own machinery: claims and verdicts, long runs and their stored results."""
 
-from esfem_core.companion import campaign, claims, experiments, revolution
+from esfem_core.companion import campaign, claims, experiments, figures, regimes, revolution
 from esfem_core.companion.checking import expect
 from esfem_core.companion.scans import bunny
 
@@ -10,5 +10,7 @@ __all__ = [
     "claims",
     "expect",
     "experiments",
+    "figures",
+    "regimes",
     "revolution",
 ]
