@@ -1,6 +1,6 @@
 """What several figures of the book draw in the same way.
 
-matplotlib is needed; it is imported by who calls.
+matplotlib is needed; it is imported when a figure is made.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from esfem_core.companion.campaign import convergence, origin
 from esfem_core.companion.regimes import curve
-from esfem_core.output import COLOURS, MARKERS
+from esfem_core.output import COLOURS, MARKERS, convergence_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from esfem_core.study import Row
 
-__all__ = ["error_curves", "slope_fan"]
+__all__ = ["error_curves", "four_panels", "slope_fan"]
 
 
 def error_curves(
@@ -96,3 +98,58 @@ def slope_fan(axes: Sequence[Axes], bottom: float, slopes: Sequence[Iterable[int
         ax.set_xticks(ticks, [f"1/{round(1 / s)}" for s in ticks], fontsize=8)
         ax.minorticks_off()
         ax.set_xlim(ends[0] / 1.3, 0.33)
+
+
+def four_panels(
+    rows: Sequence[Row],
+    size: str,
+    slopes: tuple[float, float],
+    xlabel: str,
+    titles: tuple[str, str],
+    mode: str,
+) -> Figure:
+    """Errors of x and u beside each other, in L2 above H1, at the nodes and lifted.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        With results such as "x_l2" and "x_l2_lifted", of two rows or more.
+    size : str
+        "step" or "h".
+    slopes : (float, float)
+        Of the reference lines for L2 and H1.
+    xlabel : str
+    titles : (str, str)
+        Of the columns.
+    mode : str
+        "quick" or "full", for the line below.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from esfem_core.companion.campaign import stored
+    >>> rows = stored("nick_figures_2_4", mesh="octahedron", order=5)
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> figure = four_panels(rows, "h", (3, 2), "$h$", ("Figure 2", "Figure 4"), "full")
+    >>> [ax.get_title() for ax in figure.axes][:2]
+    ['Figure 2: $x$, $L^2$', 'Figure 4: $u$, $L^2$']
+    """
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(2, 2, figsize=(10, 7.6), sharey="row", constrained_layout=True)
+    data = convergence(rows, size)
+    norms = (("l2", "$L^2$"), ("h1", "$H^1$"))
+    for line, (norm, shown), slope in zip(axes, norms, slopes, strict=True):
+        for ax, q, title in zip(line, "xu", titles, strict=True):
+            name = f"{q}_{norm}"
+            curves = {"at the nodes": data[name], "lifted": data[f"{name}_lifted"]}
+            convergence_plot(ax, data.sizes, curves, slope, xlabel)
+            ax.set(title=f"{title}: ${q}$, {shown}", ylabel="")
+        line[0].set_ylabel("error")
+    fig.supxlabel(origin(mode, rows), fontsize=9, color="0.35")
+    figure: Figure = fig
+    return figure
