@@ -1,6 +1,6 @@
 """The book's own machinery: claims and verdicts, long runs and their stored results."""
 
-from esfem_core.companion import campaign, claims, experiments, revolution, tori
+from esfem_core.companion import campaign, claims, experiments, figures, regimes, revolution, tori
 from esfem_core.companion.checking import expect
 from esfem_core.companion.scans import bunny
 
@@ -10,6 +10,8 @@ __all__ = [
     "claims",
     "expect",
     "experiments",
+    "figures",
+    "regimes",
     "revolution",
     "tori",
 ]

@@ -13,7 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from esfem_core.checks import number, whole_number
-from esfem_core.study import Experiment, Row, case, is_current, outcomes, read, select
+from esfem_core.study import (
+    ConvergenceTable,
+    Experiment,
+    Row,
+    case,
+    is_current,
+    outcomes,
+    read,
+    select,
+)
 
 __all__ = [
     "DATA",
@@ -21,7 +30,9 @@ __all__ = [
     "Row",
     "case",
     "changes",
+    "convergence",
     "is_current",
+    "origin",
     "performance",
     "provenance",
     "read",
@@ -126,6 +137,59 @@ def provenance(rows: Sequence[Row]) -> str:
         f"{len(rows)} run{'s' * (len(rows) > 1)}, {_duration(seconds)} in all, "
         f"on {values('machine')},\n{values('date')}, esfem_core {'; '.join(code)}"
     )
+
+
+def origin(mode: str, rows: Sequence[Row]) -> str:
+    """Say in which mode, on how many nodes at most and where the rows of a figure were computed.
+
+    Examples
+    --------
+    >>> [row] = stored("nick_theorem", order=3, refinements=1, step=1 / 40)
+    >>> rows = [Row(row.parameters, row.results | {"nodes": 1026}, row.provenance)]
+    >>> print(origin("full", rows).split(":")[0])
+    full mode, up to 1,026 nodes
+    """
+    nodes = max(row.results["nodes"] for row in rows)
+    return f"{mode} mode, up to {nodes:,} nodes: {provenance(rows)}"
+
+
+def convergence(rows: Sequence[Row], size: str, *names: str) -> ConvergenceTable:
+    """Put results of rows into a table of errors over a step or mesh size.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        In the order of the table; at least one.
+    size : str
+        A parameter or a result of the rows: "step" or "h".
+    *names : str
+        Results to show; all that the first row has if none is named.
+
+    Returns
+    -------
+    ConvergenceTable
+
+    Raises
+    ------
+    ValueError
+        If there are no rows.
+    KeyError
+        If a row has no such size or result.
+
+    Examples
+    --------
+    >>> rows = [Row({"step": t}, {"u": t**2}, {}) for t in (0.2, 0.1)]
+    >>> print(convergence(rows, "step"))
+         step          u      order
+          0.2   4.00e-02
+          0.1   1.00e-02       2.00
+    """
+    if not rows:
+        raise ValueError("rows must hold at least one row, got none")
+    sizes = [{**row.results, **row.parameters}[size] for row in rows]
+    names = names or tuple(rows[0].results)
+    results = [{name: row.results[name] for name in names} for row in rows]
+    return ConvergenceTable.of(size, sizes, results)
 
 
 def _enumerated(names: Iterable[str]) -> str:

@@ -1,14 +1,19 @@
 """Errors that chosen defects and starting errors cause ([N] Section 4)."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, finite_array, number, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
+from esfem_core.solvers import superlu
 from esfem_core.stepping import State, evolve, exact_state
-from esfem_core.theory.defects import Defects, defects
+from esfem_core.theory.defects import Defects, defects, dual_norm
 
-__all__ = ["response"]
+__all__ = ["ErrorTerms", "error_terms", "proposition_1", "response"]
 
 
 def response(
@@ -101,3 +106,163 @@ def _perturbed(exact: State, e_x: Array, e_u: Array, n: int) -> State:
     e_x = finite_array(f"start[{n}]: e_x", e_x, exact.x.shape)
     e_u = finite_array(f"start[{n}]: e_u", e_u, exact.u.shape)
     return State(exact.t, exact.x + e_x, None, exact.u + e_u)
+
+
+@dataclass(frozen=True)
+class ErrorTerms:
+    """Errors and defects of a run, and the squared norms of which [N] Section 4 speaks.
+
+    Attributes
+    ----------
+    order : int
+    step : float
+    computed, exact : tuple of State
+        At t = 0, step, ...
+    defects : tuple of Defects or None
+        None for the starting values.
+    K : tuple of (N, N) sparse arrays
+        M + A at the exact positions.
+    errors : dict of str to float arrays
+        "x" and "v", (n, N, 3), and "u", of which v is zero in the starting values.
+    squares : dict of str to (n,) float arrays
+        "x", "v", "u": squares of the K-norms of the errors; "u_mass", "u_stiffness": of the norms
+        of u with M and with A; "d_x": of the K-norm of d_x; "d_v", "d_u": of the dual norms.
+    """
+
+    order: int
+    step: float
+    computed: tuple[State, ...]
+    exact: tuple[State, ...]
+    defects: tuple[Defects | None, ...]
+    K: tuple[csr_array, ...]
+    errors: dict[str, Array]
+    squares: dict[str, Array]
+
+
+def error_terms(
+    space: SurfaceSpace,
+    pairs: Iterable[tuple[State, State]],
+    order: int,
+    step: float,
+    chosen: Callable[[int], Defects | None],
+) -> ErrorTerms:
+    """Collect errors and norms of what :func:`response` yields.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    pairs : iterable of (State, State)
+        Computed and exact states.
+    order : int
+    step : float
+    chosen : callable
+        The defects, as given to :func:`response`; None where there are none.
+
+    Returns
+    -------
+    ErrorTerms
+
+    Examples
+    --------
+    One defect in the last step, and what it does to the velocity:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
+    >>> zero, problem = np.zeros_like(space.nodes), ec.problems.expanding_sphere()
+    >>> def chosen(n):
+    ...     return Defects(zero[:, 0], zero, 1e-5 * space.nodes * (n == 8))
+    >>> pairs = response(space, problem, 2, 1 / 16, 0.5, chosen)
+    >>> terms = error_terms(space, pairs, 2, 1 / 16, chosen)
+    >>> bool(np.allclose(terms.squares["d_x"][:-1], 0)), bool(terms.squares["d_x"][-1] > 0)
+    (True, True)
+    """
+    computed, exact = zip(*pairs, strict=True)
+    given = tuple(chosen(n) if n >= order else None for n in range(len(exact)))
+    matrices = [space.mass_stiffness(s.x) for s in exact]
+    K = tuple(M + A for M, A in matrices)
+    e_x = np.array([s.x - ex.x for s, ex in zip(computed, exact, strict=True)])
+    e_u = np.array([s.u - ex.u for s, ex in zip(computed, exact, strict=True)])
+    e_v = np.zeros_like(e_x)
+    for n in range(order, len(exact)):
+        e_v[n] = computed[n].v - exact[n].v
+    squares = {
+        "x": [_square(k, e) for k, e in zip(K, e_x, strict=True)],
+        "v": [_square(k, e) for k, e in zip(K, e_v, strict=True)],
+        "u": [_square(k, e) for k, e in zip(K, e_u, strict=True)],
+        "u_mass": [_square(M, e) for (M, _), e in zip(matrices, e_u, strict=True)],
+        "u_stiffness": [_square(A, e) for (_, A), e in zip(matrices, e_u, strict=True)],
+    }
+    of_defects = np.array([_defect_squares(k, d) for k, d in zip(K, given, strict=True)]).T
+    squares |= zip(("d_x", "d_v", "d_u"), of_defects, strict=True)
+    return ErrorTerms(
+        order,
+        step,
+        computed,
+        exact,
+        given,
+        K,
+        {"x": e_x, "v": e_v, "u": e_u},
+        {name: np.array(values) for name, values in squares.items()},
+    )
+
+
+def _square(matrix: csr_array, w: Array) -> float:
+    return float(np.sum(w * (matrix @ w)))
+
+
+def _defect_squares(K: csr_array, d: Defects | None) -> tuple[float, float, float]:
+    """Squared norms of d_x, d_v and d_u; nothing is factorised where there is no defect."""
+    if d is None or not any(np.any(part) for part in d):
+        return 0.0, 0.0, 0.0
+    factor = superlu(K)
+    return _square(K, d.x), dual_norm(factor, d.v) ** 2, dual_norm(factor, d.u) ** 2
+
+
+def proposition_1(terms: ErrorTerms, corrected: bool = False) -> float:
+    r"""Largest ratio of the two sides of [N] (4.7) over the steps of a run.
+
+    As printed, it contains :math:`\tau\sum_{j=1}^n\|e_u^j\|_A^2` on the left, and of the velocity
+    defects only :math:`\tau\sum_{j=p}^n\|d_v^j\|_\star^2` on the right. Corrected, the first sum
+    begins at p, and the right-hand side contains :math:`\|d_v^n\|_\star^2`, too.
+
+    Parameters
+    ----------
+    terms : ErrorTerms
+    corrected : bool
+
+    Returns
+    -------
+    float
+        The smallest constant C with which the estimate holds.
+
+    Raises
+    ------
+    ValueError
+        If the right-hand side is zero in all steps.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
+    >>> zero, problem = np.zeros_like(space.nodes), ec.problems.expanding_sphere()
+    >>> def chosen(n):
+    ...     return Defects(zero[:, 0], 1e-5 * space.nodes * (n == 8), zero)
+    >>> pairs = response(space, problem, 2, 1 / 16, 0.5, chosen)
+    >>> terms = error_terms(space, pairs, 2, 1 / 16, chosen)
+    >>> proposition_1(terms) > 10 > 2 > proposition_1(terms, corrected=True)
+    True
+    """
+    p, tau, square = terms.order, terms.step, terms.squares
+    gradients = square["u_stiffness"]
+    if corrected:
+        gradients = np.where(np.arange(len(gradients)) < p, 0.0, gradients)
+    window = np.convolve(square["u_mass"], np.ones(p))[: len(gradients)]
+    left = square["x"] + square["v"] + window + tau * (np.cumsum(gradients) - gradients[0])
+    right = tau * np.cumsum(square["d_x"] + square["d_v"] + square["d_u"])
+    right = right + np.sum(square["x"][:p] + square["u_mass"][:p])
+    if corrected:
+        right = right + square["d_v"]
+    n = (np.arange(len(left)) >= p) & (right > 0)
+    if not n.any():
+        raise ValueError("terms must have a defect or a starting error in some step, all are zero")
+    return float(np.max(left[n] / right[n]))

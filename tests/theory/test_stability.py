@@ -5,7 +5,7 @@ import pytest
 
 import esfem_core as ec
 from esfem_core.theory.defects import Defects
-from esfem_core.theory.stability import response
+from esfem_core.theory.stability import error_terms, proposition_1, response
 
 SPACE = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
 PROBLEM = ec.problems.expanding_sphere()
@@ -70,3 +70,35 @@ def test_starting_errors_and_defects_of_another_shape_are_refused():
 
     with pytest.raises(ValueError, match=r"chosen\(2\)\.u must have shape \(42,\), got \(42, 1\)"):
         list(response(SPACE, PROBLEM, 2, 0.1, 0.3, chosen))
+
+
+def single_velocity_defect(n):
+    return nothing(n)._replace(v=1e-5 * SPACE.nodes * (n == 10))
+
+
+def test_the_squares_are_those_of_the_errors_at_the_exact_positions():
+    pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.5, single_velocity_defect))
+    terms = error_terms(SPACE, pairs, 2, 1 / 20, single_velocity_defect)
+    M, A = SPACE.mass_stiffness(pairs[-1][1].x)
+    e_v = pairs[-1][0].v - pairs[-1][1].v
+    assert np.isclose(terms.squares["v"][-1], np.sum(e_v * ((M + A) @ e_v)), rtol=1e-14)
+    d = single_velocity_defect(10).v
+    solved = np.linalg.solve((M + A).toarray(), d)
+    assert np.isclose(terms.squares["d_v"][-1], np.sum(d * solved), rtol=1e-10)
+    assert terms.defects[:2] == (None, None)
+    assert not terms.squares["d_v"][:-1].any()
+    assert not terms.errors["v"][:2].any()
+
+
+def test_one_velocity_defect_refutes_the_printed_estimate_and_not_the_corrected_one():
+    pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.5, single_velocity_defect))
+    terms = error_terms(SPACE, pairs, 2, 1 / 20, single_velocity_defect)
+    assert 15 < proposition_1(terms) < 20  # 1/τ less a constant
+    assert proposition_1(terms, corrected=True) < 1
+
+
+def test_an_estimate_needs_something_on_the_right():
+    pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.2, nothing))
+    terms = error_terms(SPACE, pairs, 2, 1 / 20, nothing)
+    with pytest.raises(ValueError, match="must have a defect or a starting error in some step"):
+        proposition_1(terms)
