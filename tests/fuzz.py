@@ -33,6 +33,7 @@ COSTLY = {  # integer-like floats could ask for millions of vertices, or for day
     "animate",
     "surface_animation",
     "plot",
+    "time_study",
 }  # nothing made up
 SECONDS = 20
 HEAD = ["function", "tried", "right", "refused with a helpful message", "anything else"]
