@@ -131,7 +131,7 @@ def doors() -> list[Door]:
              {"R": number(1.0, 0, -1), "r": number(0.4, 0, -1, 2.0), "x": array(points, before=True, rows=True)}),
         Door("Ellipsoid",
              lambda axes=(1.0, 1.1, 1.2), x=points: ec.exact_surfaces.Ellipsoid(axes).near(x),
-             {"axes": array((1.0, 1.1, 1.2), (0.0, 1.0, 1.0), (-1.0, 1, 1)), "x": array(points, before=True, rows=True)}),
+             {"axes": array((1.0, 1.1, 1.2), (0.0, 1.0, 1.0), (-1.0, 1, 1), called=("x",)), "x": array(points, before=True, rows=True)}),
         Door("LevelSet",
              lambda d=_norm, gradient=None, x=points:
              ec.exact_surfaces.LevelSet(d, gradient).near(x),

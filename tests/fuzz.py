@@ -8,6 +8,7 @@ refused with a message that helps, or anything else; the last must not be.
 import argparse
 import csv
 import random
+import signal
 import sys
 import warnings
 from collections import Counter
@@ -32,7 +33,9 @@ COSTLY = {  # integer-like floats could ask for millions of vertices, or for day
     "animate",
     "surface_animation",
     "plot",
+    "time_study",
 }  # nothing made up
+SECONDS = 20
 HEAD = ["function", "tried", "right", "refused with a helpful message", "anything else"]
 
 
@@ -59,7 +62,12 @@ def _made_up(family: str) -> st.SearchStrategy[Any]:
     if family == "whole":
         return st.one_of(WHOLE, NUMBERS, st.text(max_size=3))
     if family == "number":
-        return st.one_of(NUMBERS, st.integers(-5, 5), st.fractions(-5, 5), st.complex_numbers())
+        return st.one_of(
+            NUMBERS,
+            st.integers(-5, 5),
+            st.fractions(-5, 5, max_denominator=16),
+            st.complex_numbers(),
+        )
     return st.one_of(some, st.lists(st.floats(), max_size=3))
 
 
@@ -92,6 +100,7 @@ def outcome(case: Case) -> tuple[str, str]:
     door, key, argument = case.door, case.key, case.door.arguments[case.key]
     text = f"{door.name}: {key} = {case.shown[:80]}"
     try:
+        signal.alarm(SECONDS)  # a case that does not end is named, and counted
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             result = door.function(**{**_good(door), key: case.value})
@@ -100,6 +109,7 @@ def outcome(case: Case) -> tuple[str, str]:
             return "refused", text
         return "else", f"{text}: {type(error).__name__}: {error}"
     finally:
+        signal.alarm(0)
         if (pyplot := sys.modules.get("matplotlib.pyplot")) is not None:
             pyplot.close("all")
     right = {
@@ -118,6 +128,13 @@ def _good(door: Door) -> dict[str, Any]:
 def _wanted(name: str, key: str) -> Any:
     door = next(d for d in doors() if d.name == name)
     return door.function(**{**_good(door), key: door.arguments[key].good})
+
+
+def _stop(*_: object) -> None:
+    raise RuntimeError(f"not finished after {SECONDS} s")
+
+
+signal.signal(signal.SIGALRM, _stop)
 
 
 def run(n_cases: int, first: int) -> tuple[Counter[tuple[str, str]], list[str]]:

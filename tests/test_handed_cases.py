@@ -241,6 +241,12 @@ def test_the_last_time_is_the_end_itself():
             assert list(run)[-1].t == end
 
 
+def test_equal_steps_of_a_study_are_refused_before_it_computes():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    with pytest.raises(ValueError, match=r"steps must be positive, neighbours different, got \["):
+        ec.study.time_study(space, ec.problems.growing_sphere(), 1, [0.5, 0.5], 0.5)
+
+
 def test_negative_squares_are_not_cut():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     M, A = space.mass_stiffness(space.nodes)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -396,8 +397,8 @@ def _sizes(name: str, values: ArrayLike) -> list[float]:
     sizes: list[float] = finite_array(name, values, ("n",)).tolist()
     if not sizes:
         raise ValueError(f"{name} must hold at least one number, got none")
-    if min(sizes) <= 0:
-        raise ValueError(f"{name} must be positive, got {sizes}")
+    if min(sizes) <= 0 or any(a == b for a, b in pairwise(sizes)):
+        raise ValueError(f"{name} must be positive, neighbours different, got {sizes}")
     return sizes
 
 

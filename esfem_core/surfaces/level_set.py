@@ -128,7 +128,9 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         square = (g * g).sum(axis=1)
         if not (square > 0).all():
             i = todo[np.argmin(square)]
-            raise ValueError(f"the gradient of d must not vanish, but is zero at {x[i].tolist()}")
+            raise ValueError(
+                f"the gradient of d must not vanish at the points, but is zero at {x[i].tolist()}"
+            )
         step = -(value / square)[:, None] * g
         x[todo] += step
         todo = todo[np.linalg.norm(step, axis=1) > ON_SURFACE * scale]

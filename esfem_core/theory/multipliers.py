@@ -29,6 +29,7 @@ from esfem_core.stepping import bdf
 
 __all__ = ["circle_polynomial", "g_matrix", "g_matrix_of", "gammas", "gammas_of", "smallest_eta"]
 
+_LARGEST = 1e100  # coefficient
 _ZERO = 1e-15  # a value of F at 1 or -1 this small, relative to its coefficients, is rounding
 _SPLIT = 1e-6  # real zeros of F at most this far apart are a double zero that rounding has split
 
@@ -283,5 +284,10 @@ def _coefficients(delta: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     for name, c in (("delta", d), ("mu", m)):
         if len(c) == 0:
             raise ValueError(f"{name} must hold at least one coefficient, got none")
+        if np.abs(c).max() > _LARGEST:
+            raise ValueError(
+                f"{name} must hold coefficients up to {_LARGEST:g}, got {np.abs(c).max():.3g}: "
+                "their products would overflow"
+            )
     n = max(len(d), len(m))
     return np.pad(d, (0, n - len(d))), np.pad(m, (0, n - len(m)))
