@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: help venv wheel book lite test full fuzz check-book check-lite lint format clean \
-        test-oldest test-newest compare-builds
+        test-oldest test-newest test-readers compare-builds
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -67,6 +67,9 @@ test-oldest: ## the solver, with the oldest versions that pyproject.toml allows
 
 test-newest: ## the solver, with the newest versions there are
 	$(PYTHON) tests/versions.py newest
+
+test-readers: $(STAMP) ## each chapter alone, with another degree and step: some twenty minutes
+	$(BIN)/python tests/readers.py
 
 compare-builds: wheel ## build the book with 1 and with 2 threads: the same numbers to 1e-9?
 	rm -rf _build/threads-1 _build/threads-2
