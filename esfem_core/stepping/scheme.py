@@ -266,10 +266,14 @@ class Scheme:
                     f"perturbation must be of {', '.join(map(repr, known))}, but perturbation({n}) "
                     f"returned one of {name!r}"
                 )
-        return {
-            name: finite_array(f"perturbation({n})[{name!r}]", vector, known[name])
-            for name, vector in given.items()
-        }
+        found = {}
+        for name, vector in given.items():
+            called, shape = f"perturbation({n})[{name!r}]", known[name]
+            constant = isinstance(vector, int | float)
+            found[name] = finite_array(
+                called, np.full(shape, vector) if constant else vector, shape
+            )
+        return found
 
 
 @dataclass
