@@ -9,7 +9,7 @@ problem = ec.Problem(u0=lambda x: 1 + x[:, 2], g=lambda at: at.u, alpha=0.2, bet
 # With the direct solver the bits are the same; the default agrees to about nine digits.
 options = {"order": 3, "step": 1 / 40, "solver": "direct"}
 
-# The last states are on disk after every tenth step; this run is interrupted at t = 0.6.
+# The last states are on disk after every tenth step, and when the loop ends, here at t = 0.6.
 for state in ec.evolve(space, problem, end=1.0, save="run.npz", every=10, **options):
     if state.t > 0.59:
         break

@@ -62,7 +62,7 @@ NUMBERS = {
         ("amount changes by ", 0, 1e-12),
     ],
     "restart": [
-        ("saved up to t = ", 0.55, 0),
+        ("saved up to t = ", 0.6, 0),
         ("difference: ", 0, 0),
         (" in x, ", 0, 0),
         ("area ", 24.83525, 2e-5),

@@ -64,7 +64,7 @@ class Results:
 
     def _repr_html_(self) -> str:
         header, cells = self._cells()
-        table = html_table(map(escape, header), [map(escape, row) for row in cells]).text
+        table = html_table(header, cells).text
         return table + "".join(f"<p>{escape(note)}</p>" for note in self._notes())
 
 

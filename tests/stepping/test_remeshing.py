@@ -314,7 +314,7 @@ STATE = ec.State(0.0, BALL.nodes, None, 1 + BALL.nodes[:, 0], space=BALL)
     [
         ((5,), TypeError, "states must be a State or a sequence of them, got 5"),
         (([5],), TypeError, r"states\[0\] must be a State, got 5"),
-        (([],), ValueError, "states must hold at least one state"),
+        (([],), ValueError, "states must hold at least one State"),
         ((ec.State(0.0, BALL.nodes, None),), ValueError, "must know its space"),
         (([STATE, STATE],), ValueError, "in the order of time"),
         ((STATE, 0), ValueError, "h must be a finite number > 0, got 0"),
