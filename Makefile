@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: help venv wheel book lite test full fuzz check-book check-lite lint format clean \
-        test-oldest test-newest test-readers compare-builds
+        test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -48,6 +48,10 @@ book test compare-builds: export ESFEM_STRICT = 1
 test: $(STAMP) ## solver, doctests and all notebooks
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 \
 	    --nbval-lax --nbval-current-env tests esfem_core book
+
+lab: $(STAMP) ## the chapters in JupyterLab
+	$(BIN)/python -m pip install -q --disable-pip-version-check "jupyterlab>=4"
+	$(BIN)/jupyter lab book
 
 full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
