@@ -11,13 +11,13 @@ ENTRIES = yaml.safe_load((ROOT / "book/concordance.yml").read_text("utf8"))
 
 
 @pytest.fixture(scope="module")
-def page():
+def concordance():
     return BeautifulSoup((HTML / "book/concordance.html").read_text("utf8"), "html.parser")
 
 
-def test_each_entry_links_to_its_chapter_and_to_its_claims(page):
+def test_each_entry_links_to_its_chapter_and_to_its_claims(concordance):
     ledger = BeautifulSoup((HTML / "book/ledger.html").read_text("utf8"), "html.parser")
-    rows = page.select(".esfem-concordance tbody tr")
+    rows = concordance.select(".esfem-concordance tbody tr")
     entries = [entry for paper in ENTRIES.values() for entry in paper]
     assert len(rows) == len(entries)
     for row, entry in zip(rows, entries, strict=True):
