@@ -33,7 +33,7 @@ def check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -
             f"motion must start on the surface, X(p, 0) = p, but {error}; a velocity "
             "goes into laws.Prescribed(velocity=v)"
         ) from error
-    node, distance = _farthest(space, x)
+    node, distance = _farthest(x, space.nodes, space.nodes)
     if not distance <= AT_START:
         raise ValueError(
             "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
@@ -54,13 +54,11 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
     if not hasattr(law, "position"):
         return
     x = law.position(space.nodes, last.t, (last.t, last.x))
-    size = float(np.abs(last.x - last.x.mean(axis=0)).max())
-    distance = np.linalg.norm(x - last.x, axis=1)
-    worst = int(np.argmax(distance))
-    if not distance[worst] <= AT_START * size:
+    node, distance = _farthest(x, last.x, last.x)
+    if not distance <= AT_START:
         raise ValueError(
-            f"start must hold states of this motion, but node {worst} is at "
-            f"{last.x[worst].tolist()}, while X(p, t) = {x[worst].tolist()} at t = {last.t:g}; new "
+            f"start must hold states of this motion, but node {node} is at "
+            f"{last.x[node].tolist()}, while X(p, t) = {x[node].tolist()} at t = {last.t:g}; new "
             "triangles know the initial surface by remeshed(states, h, problem)"
         )
 
@@ -84,7 +82,7 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
     assert exact is not None
     nodes = space.nodes
     x = finite_array("exact.x", exact.x(nodes.copy(), 0.0), nodes.shape)
-    node, distance = _farthest(space, x)
+    node, distance = _farthest(x, nodes, nodes)
     if not distance <= LATER:
         raise ValueError(
             "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
@@ -103,7 +101,7 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
     if hasattr(problem.law, "position"):
         x = problem.law.position(nodes, t, (0.0, nodes))
         wanted = finite_array("exact.x", exact.x(nodes.copy(), t), nodes.shape)
-        node, distance = _farthest(space, wanted, x)
+        node, distance = _farthest(wanted, x, nodes)
         if not distance <= LATER:
             raise ValueError(
                 f"exact must belong to the motion, but at t = {t:g} exact.x(p, t) = "
@@ -144,10 +142,9 @@ def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
         )
 
 
-def _farthest(space: SurfaceSpace, x: Array, y: Array | None = None) -> tuple[int, float]:
-    """The node whose positions are farthest apart, and how far relative to the surface."""
-    nodes = space.nodes
-    size = float(np.abs(nodes - nodes.mean(axis=0)).max())
-    distance = np.linalg.norm(x - (nodes if y is None else y), axis=1)
+def _farthest(x: Array, y: Array, surface: Array) -> tuple[int, float]:
+    """The node whose positions are farthest apart, and how far relative to a surface's size."""
+    size = float(np.abs(surface - surface.mean(axis=0)).max())
+    distance = np.linalg.norm(x - y, axis=1)
     node = int(np.argmax(distance))
     return node, float(distance[node]) / size

@@ -13,7 +13,7 @@ import numpy as np
 
 from esfem_core.checks import Array, real_array, shown, whole_number
 
-__all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
+__all__ = ["combine", "delta", "delta_exact", "extrapolate", "extrapolated", "gamma"]
 
 MOST_STEPS = 100  # the coefficients are beyond 1e28 there, and no step can be made with them
 
@@ -126,7 +126,18 @@ def extrapolate(values: Sequence[Array]) -> Array:
                 f"values must have one shape, but values[{j}] has {w.shape} and values[0] has "
                 f"{arrays[0].shape}"
             )
-    return combine(gamma(len(arrays)), arrays)
+    return extrapolated(arrays)
+
+
+def extrapolated(values: Sequence[Array]) -> Array:
+    """:func:`extrapolate` for levels of a run, which were checked when they came.
+
+    Examples
+    --------
+    >>> extrapolated([np.array([4.0]), np.array([1.0]), np.array([0.0])])
+    array([9.])
+    """
+    return combine(gamma(len(values)), values)
 
 
 def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:

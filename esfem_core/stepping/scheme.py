@@ -19,7 +19,7 @@ from esfem_core.checks import Array, finite_array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species
 from esfem_core.problems import Problem
-from esfem_core.stepping.bdf import combine, delta, extrapolate
+from esfem_core.stepping.bdf import combine, delta, extrapolated
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
 from esfem_core.stepping.state import EvolutionError, Mass, Method, State
@@ -146,13 +146,13 @@ class Scheme:
         """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
         _, order, step = method
         d = delta(order)
-        fields = {name: extrapolate(values) for name, values in history.functions.items()}
+        fields = {name: extrapolated(values) for name, values in history.functions.items()}
         law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
         x_past = combine(d[1:], history.x)
         given = None
         if hasattr(law, "position"):
             given = law.position(self.space.nodes, t, (history.t, history.x[0]))
-        x_tilde = extrapolate(history.x) if given is None else given
+        x_tilde = extrapolated(history.x) if given is None else given
         at = Surface(self.space, x_tilde, fields, t, expected=self._used)
         if given is None:
             normal = _not_turned(at, normal)
@@ -268,11 +268,10 @@ class Scheme:
                 )
         found = {}
         for name, vector in given.items():
-            called, shape = f"perturbation({n})[{name!r}]", known[name]
-            constant = isinstance(vector, int | float)
-            found[name] = finite_array(
-                called, np.full(shape, vector) if constant else vector, shape
-            )
+            shape = known[name]
+            if isinstance(vector, int | float):  # a constant
+                vector = np.full(shape, vector)
+            found[name] = finite_array(f"perturbation({n})[{name!r}]", vector, shape)
         return found
 
 
@@ -314,7 +313,7 @@ class _Levels:
 
     def guess(self, name: str) -> Array:
         """What the new values will be, about."""
-        return extrapolate(self.history.longer[name])
+        return extrapolated(self.history.longer[name])
 
 
 def _index(part: Part, b: Array) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, real_array, shown
 from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, check_residual
-from esfem_core.stepping.bdf import extrapolate
+from esfem_core.stepping.bdf import extrapolated
 
 __all__ = ["Statistics", "Systems"]
 
@@ -96,7 +96,7 @@ class Systems:
         """Solve K w = b from what the last solutions of this kind let one expect."""
         last = self._solutions.get(kind, ())
         same = [w for w in last if w.shape == b.shape]
-        w = self.solve(kind, K, b, extrapolate(same) if same else np.zeros_like(b))
+        w = self.solve(kind, K, b, extrapolated(same) if same else np.zeros_like(b))
         self._solutions[kind].appendleft(w)
         return w
 
