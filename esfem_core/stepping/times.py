@@ -1,6 +1,7 @@
 """Times of the steps, the same however often a run is interrupted."""
 
 from fractions import Fraction
+from functools import lru_cache
 
 from esfem_core.checks import number
 
@@ -25,6 +26,7 @@ def later(t: float, step: float) -> float:
     return float(_meant(t) + _meant(step))
 
 
+@lru_cache(maxsize=8)  # the step is asked for in every step
 def _meant(value: float) -> Fraction:
     simple = Fraction(value).limit_denominator(LARGEST)
     return simple if float(simple) == value else Fraction(value)
