@@ -1,7 +1,6 @@
 """Closest points of a discrete surface, and values of finite element functions there."""
 
 from collections.abc import Iterator
-from itertools import chain
 from math import factorial
 from typing import NamedTuple, Protocol
 
@@ -12,10 +11,10 @@ from scipy.spatial import cKDTree
 from esfem_core.checks import Array, Ints, finite_array
 from esfem_core.elements.lagrange import node_indices, tabulate
 from esfem_core.elements.numbering import flat_triangles
+from esfem_core.surfaces import Balls
 
 __all__ = ["ClosestPoints", "closest_points", "probe"]
 
-CHUNK = 50_000  # pairs of a point and a piece that are treated at once
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
 
@@ -182,23 +181,14 @@ def _divide(degree: int, nodes: Array) -> _Pieces:
 
 def _candidates(pieces: _Pieces, points: Array, bound: Array) -> Iterator[tuple[Ints, Ints]]:
     """Pairs of a point and a piece that may come closer than a bound, chunk by chunk."""
-    octave = np.frexp(pieces.radius)[1]  # so that one large piece does not blow up all balls
-    for members in (np.flatnonzero(octave == i) for i in np.unique(octave)):
-        tree = cKDTree(pieces.centre[members])
-        reach = (bound + pieces.radius[members].max()) * (1 + 1e-12)
-        count = tree.query_ball_point(points, reach, return_length=True)
-        ends = np.flatnonzero(np.diff(np.cumsum(count) // CHUNK)) + 1
-        for part in np.split(np.arange(len(points)), ends):
-            lists = tree.query_ball_point(points[part], reach[part])
-            piece = members[np.fromiter(chain.from_iterable(lists), np.int64)]
-            point = np.repeat(part, count[part])
-            # All of a piece lies beyond its first Bézier point in the direction of its centre.
-            direction = pieces.centre[piece] - points[point]
-            length = np.linalg.norm(direction, axis=1)
-            direction /= np.maximum(length, 1e-300)[:, None]
-            ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
-            keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
-            yield point[keep], piece[keep]
+    for point, piece in Balls(pieces.centre, pieces.radius).near(points, bound):
+        # All of a piece lies beyond its first Bézier point in the direction of its centre.
+        direction = pieces.centre[piece] - points[point]
+        length = np.linalg.norm(direction, axis=1)
+        direction /= np.maximum(length, 1e-300)[:, None]
+        ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
+        keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
+        yield point[keep], piece[keep]
 
 
 def _minimise(degree: int, nodes: Array, start: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or
 """
 
 from esfem_core.surfaces import exact_surfaces
+from esfem_core.surfaces.balls import Balls
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
@@ -20,6 +21,7 @@ from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
 __all__ = [
     "FLATTEST",
+    "Balls",
     "Edges",
     "Elements",
     "Evened",

@@ -1,16 +1,14 @@
 """Closest points of flat triangles: the triangle, and where in it."""
 
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Ints
+from esfem_core.surfaces.balls import Balls
 
 __all__ = ["FootPoints"]
-
-CHUNK = 100_000  # pairs of a point and a triangle that are treated at once
 
 
 class FootPoints:
@@ -34,10 +32,7 @@ class FootPoints:
         self.centre = corners.mean(axis=1)
         self.radius = np.linalg.norm(corners - self.centre[:, None], axis=2).max(axis=1)
         self.nearest = cKDTree(self.centre)
-        # One large triangle must not blow up the search for all: a tree for each size.
-        octave = np.frexp(self.radius)[1]
-        members = [np.flatnonzero(octave == i) for i in np.unique(octave)]
-        self.trees = [(m, cKDTree(self.centre[m]), self.radius[m].max()) for m in members]
+        self.balls = Balls(self.centre, self.radius)
 
     def __call__(self, points: Array) -> tuple[Ints, Array]:
         """Triangles, (n,), and barycentric coordinates in them, (n, 3), of points, (n, 3)."""
@@ -54,17 +49,10 @@ class FootPoints:
 
     def _pairs(self, points: Array, bound: Array) -> Iterator[tuple[Ints, Ints]]:
         """Pairs of a point and a triangle that may be closer than a bound, chunk by chunk."""
-        for members, tree, radius in self.trees:
-            reach = (bound + radius) * (1 + 1e-12)
-            count = tree.query_ball_point(points, reach, return_length=True)
-            ends = np.flatnonzero(np.diff(np.cumsum(count) // CHUNK)) + 1
-            for part in np.split(np.arange(len(points)), ends):
-                lists = tree.query_ball_point(points[part], reach[part])
-                triangle = members[np.fromiter(chain.from_iterable(lists), np.int64)]
-                point = np.repeat(part, count[part])
-                away = np.linalg.norm(points[point] - self.centre[triangle], axis=1)
-                keep = away <= (bound[point] + self.radius[triangle]) * (1 + 1e-12)
-                yield point[keep], triangle[keep]
+        for point, triangle in self.balls.near(points, bound):
+            away = np.linalg.norm(points[point] - self.centre[triangle], axis=1)
+            keep = away <= (bound[point] + self.radius[triangle]) * (1 + 1e-12)
+            yield point[keep], triangle[keep]
 
 
 def _foot(points: Array, corners: Array) -> tuple[Array, Array]:

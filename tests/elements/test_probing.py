@@ -200,7 +200,7 @@ def test_each_point_has_its_answer_whatever_the_others_are():
 def test_chunks_do_not_matter(chunk, monkeypatch):
     space, points = sphere(2), points_around(60)
     whole = closest_points(space, space.nodes, points)
-    monkeypatch.setattr("esfem_core.elements.probing.CHUNK", chunk)
+    monkeypatch.setattr("esfem_core.surfaces.balls.CHUNK", chunk)
     parts = closest_points(space, space.nodes, points)
     np.testing.assert_array_equal(parts.cell, whole.cell)
     np.testing.assert_allclose(parts.points, whole.points, rtol=0, atol=1e-13)
