@@ -60,7 +60,7 @@ fuzz: $(STAMP) ## generated arguments for all public functions; writes the table
 	$(BIN)/python tests/fuzz.py
 
 check-book: book ## the built pages, in a browser without network
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations 10 tests/pages
 
 check-lite: lite ## chapters that run in the browser, without network: some minutes
 	$(BIN)/python -m pytest -q -x tests/lite

@@ -16,12 +16,15 @@ PAGES = sorted(
     for path in HTML.rglob("*.html")
     if "_static" not in path.parts and path != HTML / "index.html"
 )
+# The listings of the sources are made alike: in a browser one of them stands for all.
+SEEN = [p for p in PAGES if not p.startswith("_modules/esfem_core/") or p.endswith("errors.html")]
 
 
 def pytest_generate_tests(metafunc):
-    """Run a test that asks for a page on each page."""
-    if "page" in metafunc.fixturenames:
-        metafunc.parametrize("page", PAGES)
+    """Run a test that asks for a page on each page, and one that asks for a seen one on those."""
+    for name, pages in (("page", PAGES), ("seen", SEEN)):
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, pages)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -5,9 +5,9 @@ from bs4 import BeautifulSoup
 from conftest import HTML, PAGES
 
 
-def test_opens_without_an_error_and_with_all_that_belongs_to_it(page, reader):
+def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, reader):
     one = reader()
-    tab = one.open(page)
+    tab = one.open(seen)
     tab.wait_for_load_state("networkidle")
     assert one.trouble == []
     formulas = tab.locator(".math").count()
@@ -32,8 +32,8 @@ def test_follows_the_theme_of_the_system(reader, scheme):
     assert (light[0] < light[1]) == (scheme == "light")
 
 
-def test_does_not_scroll_sideways_on_a_phone_and_cuts_nothing_without_a_sign(page, reader):
-    tab = reader(width=390, height=844).open(page)
+def test_does_not_scroll_sideways_on_a_phone_and_cuts_nothing_without_a_sign(seen, reader):
+    tab = reader(width=390, height=844).open(seen)
     tab.wait_for_load_state("networkidle")
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
     tab.wait_for_timeout(100)
