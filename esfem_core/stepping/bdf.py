@@ -137,7 +137,7 @@ def extrapolated(values: Sequence[Array]) -> Array:
     >>> extrapolated([np.array([4.0]), np.array([1.0]), np.array([0.0])])
     array([9.])
     """
-    return combine(gamma(len(values)), values)
+    return combine(_gamma(len(values)), values)
 
 
 def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:

@@ -36,7 +36,7 @@ from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
-from esfem_core.stepping.times import count_steps, later
+from esfem_core.stepping.times import count_steps, following
 
 __all__ = ["MASSES", "evolve"]
 
@@ -236,9 +236,9 @@ def _times(
     t: float, step: float, first: int, n_steps: int, end: float | None
 ) -> Iterator[tuple[int, float]]:
     """Numbers and times of steps; the last time is `end` itself."""
-    for n in range(first, first + n_steps):
-        t = later(t, step)
-        yield n, float(end) if end is not None and n == first + n_steps - 1 else t
+    numbers = range(first, first + n_steps)
+    for n, time in zip(numbers, following(t, step), strict=False):
+        yield n, float(end) if end is not None and n == first + n_steps - 1 else time
 
 
 def _starting_states(

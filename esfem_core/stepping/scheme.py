@@ -49,6 +49,7 @@ class History:
         self, space: SurfaceSpace, problem: Problem, method: Method, states: Sequence[State]
     ) -> None:
         _, order, _ = method
+        self.d = delta(order)
         newest_first = list(reversed(states))
         self.t = newest_first[0].t
         self.x = deque((s.x for s in newest_first), maxlen=order)
@@ -144,8 +145,7 @@ class Scheme:
         self, history: History, method: Method, n: int, t: float, normal: Array | None
     ) -> tuple[State, Array | None]:
         """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
-        _, order, step = method
-        d = delta(order)
+        d, step = history.d, method[2]
         fields = {name: extrapolated(values) for name, values in history.functions.items()}
         law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
         x_past = combine(d[1:], history.x)
@@ -167,13 +167,13 @@ class Scheme:
         own = self.problem.law_species
         if hasattr(law, "equations"):
             own = law.equations(tau, past)
-        levels = _Levels(history, d, step, at, w, extra)
+        levels = _Levels(history, step, at, w, extra)
         functions, products = self._diffuse(own, levels, at.M, at.x)
         for array in functions.values():
             array.setflags(write=False)  # the law sees them
         solve = self._law_solver(extra.get("v"))
         v = law.velocity(at, dict(functions), tau, past, solve)
-        v = np.array(finite_array("the velocity of the law", v, at.x.shape))
+        v = finite_array("the velocity of the law", v, at.x.shape)
         x = (step * v - x_past) / d[0] if given is None else given
 
         M = self.space.mass(x) if self.mass == "updated" and given is None else at.M
@@ -181,9 +181,11 @@ class Scheme:
         functions |= more[0]
         products |= more[1]
         self._used = self._used | at.used
-        for array in (x, v, *functions.values(), *products.values()):
-            array.setflags(write=False)
-        state = State(t, x, v, space=self.space, fields=functions, products=products, method=method)
+        for array in (x, *functions.values(), *products.values()):
+            array.setflags(write=False)  # the law may keep v: a copy goes to the state
+        state = State.of_checked(
+            t, x, v, space=self.space, fields=functions, products=products, method=method
+        )
         return state, normal
 
     def _diffuse(
@@ -193,7 +195,7 @@ class Scheme:
 
         M is the mass matrix of the newest level of conserved species, x the new positions.
         """
-        at, weight = levels.at, levels.d[0] / levels.step
+        at, weight = levels.at, levels.history.d[0] / levels.step
         loads: Functions = {}
         groups: dict[object, list[tuple[str, Part]]] = {}
         for name, one in species.items():
@@ -280,7 +282,6 @@ class _Levels:
     """What the equations of all species of a step are made of."""
 
     history: History
-    d: Array
     step: float
     at: Surface
     slip: Array | None
@@ -288,10 +289,11 @@ class _Levels:
 
     def load(self, name: str, species: Species) -> Array:
         """Right-hand side of [N] (2.19): past values, sources, perturbation."""
+        d, history = self.history.d, self.history
         if species.conserved:
-            b = -combine(self.d[1:], self.history.products[name]) / self.step
+            b = -combine(d[1:], history.products[name]) / self.step
         else:
-            past: Array = -combine(self.d[1:], self.history.functions[name]) / self.step
+            past: Array = -combine(d[1:], history.functions[name]) / self.step
             b = self.at.M @ past
         source = species.load(name, self.at)
         if source is not None:

@@ -25,6 +25,7 @@ __all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
 
 Mass = Literal["updated", "extrapolated", "reassembled"]
 Method = tuple[str, int, float]
+NAMES = ("t", "x", "v", "space", "fields", "products", "method")  # of the attributes of a state
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -118,6 +119,29 @@ class State:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def of_checked(
+        cls,
+        t: float,
+        x: Array,
+        v: Array,
+        *,
+        space: SurfaceSpace,
+        fields: Mapping[str, Array],
+        products: Mapping[str, Array],
+        method: Method,
+    ) -> "State":
+        """A state of real arrays that fit, such as a step has made; nothing is looked at again."""
+        state = object.__new__(cls)
+        functions, vectors = (
+            MappingProxyType({name: _frozen(w) for name, w in arrays.items()})
+            for arrays in (fields, products)
+        )
+        values = (t, _frozen(x), _frozen(v), space, functions, vectors, method)
+        for name, value in zip(NAMES, values, strict=True):
+            object.__setattr__(state, name, value)
+        return state
 
     def __repr__(self) -> str:
         names = ", ".join(self.fields) or "none"

@@ -1,13 +1,14 @@
 """Times of the steps, the same however often a run is interrupted."""
 
+from collections.abc import Iterator
 from fractions import Fraction
-from functools import lru_cache
 
 from esfem_core.checks import number
 
-__all__ = ["count_steps", "later"]
+__all__ = ["count_steps", "following", "later"]
 
 LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
+NEAR = 1000  # below it two such fractions, at least 1e-12 apart, are never rounded to one double
 TOLERANCE = 1e-9
 ROUNDING = 1e-12  # of a time: however long the step, a later end is not reached by no step
 
@@ -26,7 +27,24 @@ def later(t: float, step: float) -> float:
     return float(_meant(t) + _meant(step))
 
 
-@lru_cache(maxsize=8)  # the step is asked for in every step
+def following(t: float, step: float) -> Iterator[float]:
+    """The times after t: ``later(t, step)``, the one later than that, and so on.
+
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> list(islice(following(0.1, 0.1), 3))
+    [0.2, 0.3, 0.4]
+    """
+    exact, tau = _meant(t), _meant(step)
+    while True:
+        exact += tau
+        t = float(exact)
+        yield t
+        if exact.denominator > LARGEST or abs(t) > NEAR:  # else that is what t means
+            exact = _meant(t)
+
+
 def _meant(value: float) -> Fraction:
     simple = Fraction(value).limit_denominator(LARGEST)
     return simple if float(simple) == value else Fraction(value)

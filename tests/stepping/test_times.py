@@ -1,13 +1,13 @@
 """Times of the steps: rounded once, the same from wherever one counts."""
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.stepping.times import count_steps, later
+from esfem_core.stepping.times import count_steps, following, later
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 0))
 AT_REST = ec.Problem(motion=lambda p, t: p)
@@ -45,6 +45,12 @@ def test_each_is_the_last_one_and_a_step_rounded_once(start, step):
             + Fraction(np.spacing(abs(after))) / 2
         )
     assert times[-1] == pytest.approx(start + 100 * step, rel=1e-14)
+
+
+@pytest.mark.parametrize("step", [0.1, 1 / 3, 1 / 999_983, 0.1 / 3, np.pi / 100, 2.0**-40, 123.456])
+@pytest.mark.parametrize("start", [0.0, 0.0171, 0.3, -np.e, 999.9, 1e6, 1e9])
+def test_all_that_follow_are_later_one_by_one(start, step):
+    assert list(islice(following(start, step), 300)) == chain(start, step, 300)[1:]
 
 
 @pytest.mark.parametrize(
