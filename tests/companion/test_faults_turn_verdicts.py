@@ -49,6 +49,13 @@ FAULTS = [
         "D = np.concatenate([B, normal[..., None]], axis=-1)",
         "D = np.concatenate([B, (normal + B[..., 0])[..., None]], axis=-1)",
     ),
+    # the third column is tilted: as regular, with the same determinant
+    (
+        "02",
+        "N-7.1-normal",
+        "D = np.concatenate([B, normal[..., None]], axis=-1)",
+        "D = np.concatenate([B, (normal + B[..., 0])[..., None]], axis=-1)",
+    ),
     # the nodes of the next degree
     (
         "02",
@@ -76,6 +83,13 @@ FAULTS = [
         "N-2.10-ordering",
         "error(kron(K, eye_array(3)), node_by_node",
         "error(kron(K, eye_array(3)), component_by_component",
+    ),
+    # the mean of the principal curvatures in the place of their sum
+    (
+        "03",
+        "N-2.10-velocity-law",
+        "return (D.sum() - (D * nu**2).sum(axis=-1, keepdims=True)) / length * nu",
+        "return (D.sum() - (D * nu**2).sum(axis=-1, keepdims=True)) / (2 * length) * nu",
     ),
     # BDF coefficients in the wrong direction
     (
@@ -147,6 +161,34 @@ FAULTS = [
         "bracket = grad_e - nu[..., :, None] * nu_e[..., None, :]",
         "bracket = grad_e - 0 * nu[..., :, None] * nu_e[..., None, :]",
     ),
+    # fields larger than the lemma allows
+    (
+        "06",
+        "N-L3.1-normals",
+        "def scaled(space, y, e, size=0.5):",
+        "def scaled(space, y, e, size=0.6):",
+    ),
+    # a stiffness matrix too many
+    (
+        "06",
+        "N-3.3-equivalence",
+        "relative_norm(M1 + A1 - M0 - A0, M0 + A0)",
+        "relative_norm(M1 + 2 * A1 - M0 - A0, M0 + A0)",
+    ),
+    # lifts to another torus, of a tube that is thicker by one percent
+    (
+        "07",
+        "N-L5.1-equivalence",
+        "onto = forms.lift(space, space.nodes, Torus())\n        attained",
+        "onto = forms.lift(space, space.nodes, Torus(1.0, 0.404))\n        attained",
+    ),
+    # a power of h too many
+    (
+        "07",
+        "LMV-5.11-interpolation",
+        "(h**2 * (curved + h * plain))",
+        "(h**3 * (curved + h * plain))",
+    ),
     # a stretching motion beside the one whose velocity is used
     (
         "07",
@@ -197,6 +239,8 @@ FAULTS = [
     ),
     # the zero at one is not divided out
     ("09", "N-4.24-decay", "chi = {p: series([1, -1], p)", "chi = {p: series([1], p)"),
+    # a term of second order is left out
+    ("09", "N-4.28-weight", "1 - eta - ct * (1 + eta / 2 + ct)", "1 - eta - ct * (1 + eta / 2)"),
     # the factor of Parseval's formula
     (
         "09",
@@ -225,6 +269,13 @@ FAULTS = [
         "return M @ du + space.load(x, space.evaluate(u) * divergence)",
         "return M @ du + 0 * space.load(x, space.evaluate(u) * divergence)",
     ),
+    # a source that does not fit the solution
+    (
+        "10",
+        "LMV-L5.1-bound",
+        "A @ u - source(space, problem, x, t), x",
+        "A @ u - 1.01 * source(space, problem, x, t), x",
+    ),
     # a motion whose second derivative is as rough as the mesh
     (
         "10",
@@ -234,6 +285,15 @@ FAULTS = [
     ),
     # (6.2) without the division
     ("11", "LMV-6.2-sphere", "g * x2 / s, g * x3 / s])", "g * x2, g * x3])"),
+    # errors at the nodes in the place of lifted ones
+    (
+        "12",
+        "N-7.4-space-l2",
+        'found = max((last[mesh, "lifted"][q] for mesh in meshes)',
+        'found = max((last[mesh, "at the nodes"][q] for mesh in meshes)',
+    ),
+    # a bound with a power of τ too many
+    ("12", "N-T2.1-restrictions", "/ (h**2 + tau**2)", "/ (h**2 + tau**3)"),
     # the difference on a mesh against the one with another step
     (
         "13",
