@@ -3,12 +3,13 @@ PYTHON ?= python3
 BIN    := .venv/bin
 STAMP  := .venv/.installed
 LITE   := .venv/lite
+FIREFOX := .venv/firefox
 
 # Runs beside others, so each process keeps to one thread.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv wheel book lite test full fuzz check-book check-lite lint format clean \
+.PHONY: help venv wheel book lite test full fuzz check-book check-firefox check-lite lint format clean \
         test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
@@ -61,6 +62,14 @@ fuzz: $(STAMP) ## generated arguments for all public functions; writes the table
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations 10 tests/pages
+
+$(FIREFOX)/.installed: tests/pages/firefox.txt
+	$(PYTHON) -m venv $(FIREFOX)
+	$(FIREFOX)/bin/python -m pip install -q --disable-pip-version-check -r $<
+	touch $@
+
+check-firefox: book $(FIREFOX)/.installed ## the same in the Firefox of the system, but for print, the dark and axe
+	BROWSER=firefox $(FIREFOX)/bin/python -m pytest -q -n 2 tests/pages/test_browser.py
 
 check-lite: lite ## chapters that run in the browser, without network: some minutes
 	$(BIN)/python -m pytest -q -x tests/lite

@@ -47,10 +47,13 @@ Measure = Callable[[SurfaceSpace, Problem, State], Errors]
 
 
 def seminorm(matrix: csr_array, w: ArrayLike) -> float:
-    """(w^T matrix w)^{1/2}, summed over components.
+    r"""Norm or seminorm of a finite element function.
 
-    With the mass matrix M(x) this is the L2 norm on Γ_h[x] of the finite element function with
-    nodal values w, with the stiffness matrix A(x) its H1 seminorm ([N] section 3, [LMV] (2.8)).
+    .. math:: \Bigl( \sum_c w_c^T\, \text{matrix}\; w_c \Bigr)^{1/2}
+
+    over the components c of the values. With the mass matrix M(x) this is the L2 norm on
+    Γ_h[x] of the finite element function with nodal values w, with the stiffness matrix A(x) its H1
+    seminorm ([N] section 3, [LMV] (2.8)).
 
     Parameters
     ----------
@@ -318,7 +321,12 @@ def time_norms(
     window: tuple[float, float],
     measure: Measure = compare,
 ) -> tuple[float, float]:
-    """Errors of u over a run, in the norms of [LMV] Theorem 5.2.
+    r"""Errors of u over a run, in the norms of [LMV] Theorem 5.2.
+
+    .. math::
+
+        \max_n \|e_u^n\|_{L^2}, \qquad
+        \Bigl( \tau \sum_n \|\nabla e_u^n\|_{L^2}^2 \Bigr)^{1/2}
 
     Parameters
     ----------
@@ -333,8 +341,7 @@ def time_norms(
     Returns
     -------
     (float, float)
-        max_n u_l2 and (tau sum_n u_h1^2)^{1/2}, with u_l2 and u_h1 of `measure`. An error that is
-        NaN makes them NaN.
+        Both, from u_l2 and u_h1 of `measure`. An error that is NaN makes them NaN.
 
     Raises
     ------

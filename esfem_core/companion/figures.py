@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from esfem_core.study import Row
 
-__all__ = ["error_curves", "four_panels", "slope_fan"]
+__all__ = ["error_curves", "footnote", "four_panels", "slope_fan"]
 
 
 def error_curves(
@@ -61,7 +61,7 @@ def error_curves(
         same = {name: selection[name] for name in ("degree", "order") if name in selection}
         steps, errors = curve(thin, norm, **same)
         if len(steps):
-            ax.loglog(steps, errors, "-", color=colour, linewidth=0.8, alpha=0.55)
+            ax.loglog(steps, errors, "-", color=colour, linewidth=1, alpha=0.8)
 
 
 def slope_fan(axes: Sequence[Axes], bottom: float, slopes: Sequence[Iterable[int]]) -> None:
@@ -98,6 +98,20 @@ def slope_fan(axes: Sequence[Axes], bottom: float, slopes: Sequence[Iterable[int
         ax.set_xticks(ticks, [f"1/{round(1 / s)}" for s in ticks], fontsize=8)
         ax.minorticks_off()
         ax.set_xlim(ends[0] / 1.3, 0.33)
+
+
+def footnote(fig: Figure, text: str) -> None:
+    """Say below a figure where its numbers come from, so that they go with the picture.
+
+    Examples
+    --------
+    >>> import matplotlib.figure
+    >>> fig = matplotlib.figure.Figure()
+    >>> footnote(fig, "full mode: 3 runs")
+    >>> fig.get_supxlabel()
+    'full mode: 3 runs'
+    """
+    fig.supxlabel(text, fontsize=9, color="0.35")
 
 
 def four_panels(
@@ -150,6 +164,6 @@ def four_panels(
             convergence_plot(ax, data.sizes, curves, slope, xlabel)
             ax.set(title=f"{title}: ${q}$, {shown}", ylabel="")
         line[0].set_ylabel("error")
-    fig.supxlabel(origin(mode, rows), fontsize=9, color="0.35")
+    footnote(fig, origin(mode, rows))
     figure: Figure = fig
     return figure

@@ -1,10 +1,18 @@
-"""Element integrals over Γ_h[x], for all elements at once.
+r"""Element integrals over Γ_h[x], for all elements at once.
 
-An element is the image of the reference triangle under Phi(xi, eta) = sum_a x_a phi_a(xi, eta).
-With its tangents t1 = d Phi/d xi, t2 = d Phi/d eta and the metric E = t1.t1, F = t1.t2, G = t2.t2,
-s = sqrt(EG - F^2) is the area density, and for functions on the element
+An element is the image of the reference triangle under
 
-    grad u . grad w = (G u1 w1 - F (u1 w2 + u2 w1) + E u2 w2) / s^2,      u1 = d u/d xi, ...
+.. math:: \Phi(\xi) = \sum_a x_a \varphi_a(\xi), \qquad t_i = \partial_i \Phi,
+
+with the metric E = t1·t1, F = t1·t2, G = t2·t2 of its tangents. The area density, and the product
+of gradients of functions on the element, are
+
+.. math::
+
+    s = \sqrt{EG - F^2}, \qquad
+    \nabla u \cdot \nabla w = \frac{G\, \partial_1 u\, \partial_1 w
+    - F\, (\partial_1 u\, \partial_2 w + \partial_2 u\, \partial_1 w)
+    + E\, \partial_2 u\, \partial_2 w}{s^2}.
 
 This is [N] 7.2 with the third column of its 3 x 3 differential, the normal, eliminated. Each
 integral is then (products of basis functions at the quadrature points) @ (metric factors), one

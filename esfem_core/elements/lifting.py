@@ -24,7 +24,12 @@ def squared_differences(
     function: Callable[[Array], Array],
     exactness: int | None = None,
 ) -> tuple[Array, Array]:
-    r"""Integrals over Γ of ``|w^l - function|^2`` and ``|grad(w^l - function)|^2``.
+    r"""Squared errors of a lift, and of its gradient.
+
+    .. math::
+
+        \int_\Gamma |w^l - \text{function}|^2, \qquad
+        \int_\Gamma |\nabla_\Gamma (w^l - \text{function})|^2
 
     w^l(p(y)) = w(y) is the lift of the finite element function w on Γ_h[x] to Γ ([N] 2.12). With
     the element map Phi, the point p(Phi(xi)) runs through a piece of Γ, so both integrals are

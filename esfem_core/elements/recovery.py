@@ -64,11 +64,14 @@ def nodal_average(at: Surface, values: ArrayLike) -> Array:
 
 
 def smoothed(at: Surface, values: ArrayLike) -> Array:
-    """A smooth finite element function close to rough values at the quadrature points.
+    r"""A smooth finite element function close to rough values at the quadrature points.
 
     Normals of an interpolated surface of degree k = 2 have an error of order 2 that changes its
-    sign within each element. With S = (M + c h^2 A)^{-1} M, h the mean side of the elements,
-    I - (I - S)^3 takes most of it away and itself has an error of order 6.
+    sign within each element. With h the mean side of the elements,
+
+    .. math:: I - (I - S)^3, \qquad S = (M + c h^2 A)^{-1} M,
+
+    takes most of it away and itself has an error of order 6.
 
     Parameters
     ----------

@@ -521,7 +521,9 @@ class SurfaceSpace:
         return self.load_with(self.density(x).T, real_array("values", values, shape))
 
     def mass_times(self, x: Array, u: Array) -> Array:
-        """M(x) u = (int u_h phi_j)_j, without the matrix.
+        r"""M(x) u, without the matrix.
+
+        .. math:: (M(x) u)_j = \int_{\Gamma_h[x]} u_h \varphi_j
 
         Parameters
         ----------

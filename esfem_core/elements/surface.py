@@ -219,7 +219,12 @@ class Surface:
         return b
 
     def matrix(self, mass: ArrayLike = 0.0, stiffness: ArrayLike = 0.0) -> csr_array:
-        """Matrix of int mass w z + grad w . stiffness grad z.
+        r"""Matrix of mass and stiffness with weights.
+
+        .. math::
+
+            K_{ij} = \int_{\Gamma_h[x]} \text{mass}\; \varphi_i \varphi_j
+            + \nabla\varphi_i \cdot \text{stiffness}\, \nabla\varphi_j
 
         Parameters
         ----------

@@ -1,17 +1,32 @@
 r"""A velocity that is accelerated: the dynamic law.
 
 [N], introduction, after B. Kovács, B. Li, C. Lubich, C. A. Power Guerra (Numer. Math. 137, 2017),
-with v in place of the printed u, and a term of surface tension that is ours (beta = 0 there)::
+with v in place of the printed u, and a term of surface tension that is ours (beta = 0 there):
 
-    v' + v div v - alpha lap v + beta H nu = g nu.
+.. math::
 
-In space it is (M(x) v)' + alpha A(x) v + beta A(x) x = load(g nu): v is a conserved species.
-An explicit beta A x would be stable for small steps only, tau beta/alpha < 1.99, 1.31, 0.95, 0.70,
-0.55 for p = 1, ..., 5. So x^n = tau v^n - past is put in, where tau and past are those of (2.21)::
+    \partial^\bullet v + v\, \nabla_\Gamma \cdot v - \alpha \Delta_\Gamma v + \beta H \nu = g \nu.
 
-    (delta_0/step) M v^n + (alpha + beta tau) A v^n = load(g nu) + beta A past + ...
+In space it is
 
-On a sphere of radius r, with v = r' nu: r'' + 2 r'^2/r + 2 alpha r'/r^2 + 2 beta/r = g.
+.. math::
+
+    \frac{\mathrm d}{\mathrm dt} \bigl(M(x) v\bigr) + \alpha A(x) v + \beta A(x) x
+    = \Bigl( \int_{\Gamma_h[x]} g \nu \varphi_j \Bigr)_j,
+
+so that v is a conserved species. An explicit :math:`\beta A x` would be stable for small steps
+only, :math:`\tau\beta/\alpha` < 1.99, 1.31, 0.95, 0.70, 0.55 for p = 1, ..., 5. So
+:math:`x^n = \bar\tau v^n - \text{past}` is put in, with :math:`\bar\tau = \tau/\delta_0` and the
+past of (2.21):
+
+.. math::
+
+    \Bigl( \frac{\delta_0}{\tau} M + (\alpha + \beta\bar\tau) A \Bigr) v^n
+    = \beta A\, \text{past} + \dotsb
+
+On a sphere of radius r, with :math:`v = r' \nu`,
+
+.. math:: r'' + 2\,\frac{r'^2}{r} + 2\alpha\,\frac{r'}{r^2} + \frac{2\beta}{r} = g.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,7 +46,12 @@ __all__ = ["Dynamic"]
 
 @dataclass(frozen=True, eq=False)
 class Dynamic(Law):
-    r"""v' + v div v - alpha lap v + beta H nu = g nu.
+    r"""The dynamic law, whose velocity is accelerated.
+
+    .. math::
+
+        \partial^\bullet v + v\, \nabla_\Gamma \cdot v - \alpha \Delta_\Gamma v + \beta H \nu
+        = g \nu
 
     It carries the function "velocity", (N, 3), whose integral changes by the forces only.
 

@@ -45,7 +45,11 @@ class Law(Protocol):
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:
-        """Return v^n of [N] (2.20), implicit in the position x^n = tau v^n - past of (2.21).
+        r"""Return v^n of [N] (2.20), implicit in the position x^n = tau v^n - past of (2.21).
+
+        .. math::
+
+            x^n = \frac{\tau}{\delta_0} v^n - \frac1{\delta_0} \sum_{j=1}^p \delta_j x^{n-j}
 
         Parameters
         ----------
@@ -55,9 +59,9 @@ class Law(Protocol):
         new : mapping of str to (N, ...) float array
             The law's own functions at t_n.
         tau : float
-            step / delta_0.
+            The step over delta_0, the factor of v^n.
         past : (N, 3) float array
-            sum_{j>=1} delta_j x^{n-j} / delta_0.
+            What is subtracted.
         solve : callable
             ``solve(K, b)`` solves K w = b with the run's solver, for K symmetric positive definite,
             such as ``at.matrix(mass=1.0, stiffness=2.0)``, and b of shape (N,) or (N, m).

@@ -1,28 +1,36 @@
 r"""Nodes that slip along the surface, so that its triangles stay good.
 
 Particles move with v, nodes with v + w, w tangential. With nodes and test functions that follow
-v + w, what a species meets on its way is (C. M. Elliott, V. Styles, Milan J. Math. 80, 2012)::
+v + w, what a species meets on its way is (C. M. Elliott, V. Styles, Milan J. Math. 80, 2012)
 
-    d/dt int u phi + ... = ... - int u w . grad phi         (conserved)
-    int (du/dt) phi + ... = ... + int (w . grad u) phi      (not conserved)
+.. math::
+
+    \frac{\mathrm d}{\mathrm dt} \int u \varphi + \dotsb
+        &= \dotsb - \int u\, w \cdot \nabla\varphi \qquad \text{(conserved)} \\
+    \int \dot u\, \varphi + \dotsb
+        &= \dotsb + \int (w \cdot \nabla u)\, \varphi \qquad \text{(not conserved)}
 
 which the scheme does for every species, and v is given w for the new positions: the amounts stay,
 as phi = 1 shows.
 
 The built-in slips relax the elastic energy of the map X from the initial surface to the present
-one::
+one,
 
-    E = 1/2 int |grad X|^2 + (a/2) int J^2/mean(J),      J the factor of areas,
+.. math:: E = \frac12 \int |\nabla X|^2 + \frac a2 \int \frac{J^2}{\bar J}
 
-along the surface only. With a = 0 this is the harmonic map heat flow, the DeTurck trick of
-C. M. Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a sphere harmonic maps are conformal,
-and keep the angles of the triangles, but not their sizes. J^2 keeps the sizes: the least
-deformation is between the two. With nodal derivatives f = dE/dx, matrices on the initial surface
-and P the projections to the tangent planes at the nodes,
+with the factor J of areas and its mean, along the surface only. With a = 0 this is the harmonic map
+heat flow, the DeTurck trick of C. M. Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a
+sphere harmonic maps are conformal, and keep the angles of the triangles, but not their sizes. J^2
+keeps the sizes: the least deformation is between the two. With nodal derivatives f = dE/dx,
+matrices on the initial surface and P the projections to the tangent planes at the nodes,
 
-    w = -rate P B P f,     B = s (M + s A)^{-1},     dE/dt = -rate (P f)' B (P f) <= 0.
+.. math::
 
-B makes w smooth and slow, so that it may be explicit: all wave lengths relax with about `rate`.
+    w = -\varrho\, P B P f, \qquad B = s\, (M + s A)^{-1}, \qquad
+    \frac{\mathrm dE}{\mathrm dt} = -\varrho\, (P f)^T B\, (P f) \le 0.
+
+B makes w smooth and slow, so that it may be explicit: all wave lengths relax with about the rate
+:math:`\varrho`.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,8 +1,11 @@
 r"""A law with a uniform pressure that keeps the enclosed volume.
 
-The volume changes by int v . nu. So g becomes g - lambda(t), with lambda such that
-int v . nu = 0 on the extrapolated surface. By linearity v = v_1 - lambda v_2, where v_1 is the
-law's velocity and v_2 the answer to a unit force along the normal:
+The volume changes by the integral of v · ν. So g becomes g - lambda(t), such that on the
+extrapolated surface
+
+.. math:: v = v_1 - \lambda v_2, \qquad \int_{\Gamma_h[\tilde x]} v \cdot \nu = 0,
+
+where by linearity v_1 is the law's velocity and v_2 the answer to a unit force along the normal:
 
 - regularised law: K v_2 = load(nu), solved together with v_1 by one factorisation;
 - mean curvature flow: v_2 = nu. Here lambda = mean(g - beta H) also stands in the equation of H,
@@ -74,7 +77,7 @@ class VolumePreserving(Law):
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:
-        """v_1 - lambda v_2 with int v . nu = 0."""
+        """Return v_1 - lambda v_2, whose flux through the surface is zero."""
         flux = at.load(at.normal)
         if isinstance(self.law, MeanCurvature):
             first, second = self.law.velocity(at, new, tau, past, solve), new["normal"]

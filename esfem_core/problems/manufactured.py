@@ -2,16 +2,23 @@ r"""Problems that are made for a solution: the right-hand sides that a given mot
 
 The surface is {d(x, t) = 0}, its points move by x = X(p, t), and u(x, t) lives on it. sympy
 differentiates d, X and u; all else is linear algebra at the points where f or the force is asked
-for::
+for
 
-    ν = grad d/|grad d|        P = I - ν ν^T               H = div_Γ ν = P : D²d/|grad d|
-    grad_Γ w = P grad w        div_Γ w = P : grad w        u' = du/dt + v . grad u
-    lap_Γ w  = P : D²w - H ν . grad w
+.. math::
+
+    \nu &= \nabla d/|\nabla d|, \qquad P = I - \nu\nu^T, \qquad
+        H = \nabla_\Gamma \cdot \nu = P : D^2 d/|\nabla d|, \\
+    \nabla_\Gamma w &= P\, \nabla w, \qquad \nabla_\Gamma \cdot w = P : \nabla w, \qquad
+        \partial^\bullet u = \partial_t u + v \cdot \nabla u, \\
+    \Delta_\Gamma w &= P : D^2 w - H\, \nu \cdot \nabla w.
 
 These hold for any extension of w off the surface. That of the velocity is v(x, t) = V(p, t) with
-V = dX/dt and X(p, t) = x: with F = DX, of inverse G, the chain rule gives::
+V = dX/dt and X(p, t) = x: with F = DX, of inverse G, the chain rule gives
 
-    D_j v_i = V_i,k G_kj       D_j D_l v_i = (V_i,km - D_a v_i X_a,km) G_kj G_ml.
+.. math::
+
+    \partial_j v_i = V_{i,k} G_{kj}, \qquad
+    \partial_j \partial_l v_i = (V_{i,km} - \partial_a v_i\, X_{a,km})\, G_{kj} G_{ml}.
 
 sympy is needed (``pip install esfem-core[symbolic]``); it is imported when a problem is made.
 """
@@ -181,10 +188,12 @@ def manufactured(
 ) -> Problem:
     r"""A problem whose solution is a given motion of a given surface, with a given u on it.
 
-    f and the force are such that, on {d(x, t) = 0} with points x = X(p, t), v = dX/dt::
+    f and the force are such that, on {d(x, t) = 0} with points x = X(p, t), v = dX/dt,
 
-        u' + u div v - D lap u = f
-        v - alpha lap v + beta H nu = force
+    .. math::
+
+        \partial^\bullet u + u\, \nabla_\Gamma \cdot v - D \Delta_\Gamma u &= f, \\
+        v - \alpha \Delta_\Gamma v + \beta H \nu &= \text{force}.
 
     The force is a vector, since the left-hand side is not normal to the surface in general, even
     if v is.

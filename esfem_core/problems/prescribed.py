@@ -21,15 +21,25 @@ def oscillating_ellipsoid(
 ) -> Problem:
     r"""[LMV] Example 1: an ellipsoid whose first axis oscillates, with an exact solution.
 
-    The surface (6.1) is Γ(t) = {x1^2/a(t) + x2^2 + x3^2 = 1} with a(t) = 1 + sin(t)/4, at t = 0
-    the unit sphere. Its points move by x1 = sqrt(a(t)) p1 with x2 and x3 fixed, hence with
-    v = (a'/(2a) x1, 0, 0), which has a tangential part. The solution is u = phi(t) x1 x2, and
-    f = u' + u div v - lap u of (2.1) is, with ν the unit outward normal::
+    The surface (6.1) is at t = 0 the unit sphere:
 
-        u'    = (phi' + phi a'/(2a)) x1 x2
-        div v = a'/(2a) (1 - ν1^2)
-        lap u = -phi (H (ν1 x2 + ν2 x1) + 2 ν1 ν2)
-        ν     = w/|w|,  H = (2 + 1/a - (ν1^2/a + ν2^2 + ν3^2))/|w|,  w = (x1/a, x2, x3).
+    .. math::
+
+        \Gamma(t) = \{x_1^2/a(t) + x_2^2 + x_3^2 = 1\}, \qquad a(t) = 1 + \tfrac14 \sin t.
+
+    Its points move by :math:`x_1 = \sqrt{a(t)}\, p_1` with :math:`x_2, x_3` fixed, hence with
+    :math:`v = (\tfrac{a'}{2a} x_1, 0, 0)`, which has a tangential part. The solution is
+    :math:`u = \phi(t)\, x_1 x_2`, and the three terms of f in (2.1) are, with the unit outward
+    normal,
+
+    .. math::
+
+        \partial^\bullet u &= \Bigl( \phi' + \phi\, \frac{a'}{2a} \Bigr) x_1 x_2, \qquad
+        \nabla_\Gamma \cdot v = \frac{a'}{2a} (1 - \nu_1^2), \\
+        \Delta_\Gamma u &= -\phi\, \bigl( H (\nu_1 x_2 + \nu_2 x_1) + 2 \nu_1 \nu_2 \bigr), \\
+        \nu &= \frac{w}{|w|}, \qquad
+        H = \frac{2 + 1/a - (\nu_1^2/a + \nu_2^2 + \nu_3^2)}{|w|}, \qquad
+        w = (x_1/a, x_2, x_3).
 
     Parameters
     ----------
@@ -125,13 +135,16 @@ def _closest_on_spheroid(x: Array, a: float) -> Array:
 def baseball_bat(u0: Callable[[Array], Array] | Array | None = None) -> Problem:
     r"""[LMV] Example 2: the unit sphere becomes a baseball bat at t = 1; no source.
 
-    The motion (6.2) takes p of the unit sphere to::
+    The motion (6.2) takes p of the unit sphere to
 
-        x1 = p1 + max(0, p1) t,      (x2, x3) = c (p2, p3),
-        c  = e^{-2t} + (1 - e^{-2t}) (s (p1^2 + 0.05) + p1^2),      s = sqrt(p2^2 + p3^2).
+    .. math::
+
+        x_1 &= p_1 + \max(0, p_1)\, t, \qquad (x_2, x_3) = c\, (p_2, p_3), \\
+        c &= e^{-2t} + (1 - e^{-2t}) \bigl( s\, (p_1^2 + 0.05) + p_1^2 \bigr), \qquad
+        s = \sqrt{p_2^2 + p_3^2}.
 
     c is the paper's g/s without its 0/0 at the poles (±1, 0, 0), which are nodes and stay on the
-    axis: on the unit sphere s = sqrt(1 - p1^2) divides g.
+    axis: on the unit sphere :math:`s = \sqrt{1 - p_1^2}` divides g.
 
     The velocity is only Lipschitz across p1 = 0, where the derivative of its first component jumps
     by 1, and with it the curvature of the surface, which remains continuously differentiable. At

@@ -138,10 +138,13 @@ class Problem:
 
     ``Problem(u0, f, g, alpha, beta, diffusivity)`` is the coupled problem of [N], (2.7) and (2.8),
     with u' the material derivative, H the sum of the principal curvatures (positive on a sphere)
-    and nu the outward unit normal::
+    and nu the outward unit normal,
 
-        u' + u div v - D lap u = f(u, grad u)
-        v - alpha lap v + beta H nu = g(u, grad u) nu
+    .. math::
+
+        \partial^\bullet u + u\, \nabla_\Gamma \cdot v - D \Delta_\Gamma u
+            &= f(u, \nabla_\Gamma u), \\
+        v - \alpha \Delta_\Gamma v + \beta H \nu &= g(u, \nabla_\Gamma u)\, \nu,
 
     and ``Problem(u0, f, motion=X)`` the one of [LMV], on a surface with a prescribed motion. They
     are short for ``Problem(species={"u": Species(...)}, law=...)``, which states any other.

@@ -29,9 +29,15 @@ def expanding_sphere(
 ) -> Problem:
     r"""[N] 7.3: a sphere of radius r(t) = 1 + sin(pi t)/2 with u = a(t) x1 x2 x3, a = exp(-t^2).
 
-    x1 x2 x3 is an eigenfunction of the Laplace-Beltrami operator for -12/r^2, so that
-    f = (5 r'/r + a'/a + 12/r^2) u. With c(t) = r' + 2 alpha r'/r^2 + 2 beta/r, the velocity law
-    holds for every g that equals c on the solution.
+    :math:`x_1 x_2 x_3` is an eigenfunction of the Laplace-Beltrami operator for
+    :math:`-12/r^2`, so that
+
+    .. math::
+
+        f = \Bigl( 5\,\frac{r'}{r} + \frac{a'}{a} + \frac{12}{r^2} \Bigr) u, \qquad
+        c(t) = r' + 2\alpha\,\frac{r'}{r^2} + \frac{2\beta}{r},
+
+    and the velocity law holds for every g that equals c on the solution.
 
     Parameters
     ----------
@@ -101,17 +107,30 @@ def logistic_sphere(
     r"""A sphere that grows logistically, driven by u = exp(-6t) x1 x2, with forcing.
 
     A benchmark of Kovács, Li, Lubich and Power Guerra (2017). The radius solves
-    r' = k r (1 - r/R), hence r(t) = R/(R exp(-kt) + 1 - exp(-kt)) from r(0) = 1 to the limit R, and
-    the points move along the normals, v = r' x/r. With x1 x2 homogeneous of degree 2 and an
-    eigenfunction of the Laplace-Beltrami operator for -6/r^2::
 
-        u'    = (-6 + 2 r'/r) u
-        div v = 2 r'/r
-        lap u = -6/r^2 u
+    .. math::
 
-    so that f = u' + u div v - lap u = (4 r'/r - 6 + 6/r^2) exp(-6t) x1 x2. On the solution,
-    v - alpha lap v + beta H nu = c nu with c = r' + 2 alpha r'/r^2 + 2 beta/r, and with
-    g = c + delta (u - exp(-6t) x1 x2) the velocity depends on u.
+        r' = k r\, (1 - r/R), \qquad r(t) = \frac{R}{R\, e^{-kt} + 1 - e^{-kt}},
+
+    from r(0) = 1 to the limit R, and the points move along the normals, :math:`v = r' x/r`. Since
+    :math:`x_1 x_2` is homogeneous of degree 2 and an eigenfunction of the Laplace-Beltrami operator
+    for :math:`-6/r^2`,
+
+    .. math::
+
+        \partial^\bullet u = \Bigl( 2\,\frac{r'}{r} - 6 \Bigr) u, \qquad
+        \nabla_\Gamma \cdot v = 2\,\frac{r'}{r}, \qquad
+        \Delta_\Gamma u = -\frac{6}{r^2}\, u, \qquad
+        f = \Bigl( 4\,\frac{r'}{r} - 6 + \frac{6}{r^2} \Bigr) e^{-6t} x_1 x_2.
+
+    On the solution the force of the velocity law is c along the normal, and with
+
+    .. math::
+
+        g = c + \delta\, (u - e^{-6t} x_1 x_2), \qquad
+        c = r' + 2\alpha\,\frac{r'}{r^2} + \frac{2\beta}{r},
+
+    the velocity depends on u.
 
     Parameters
     ----------
@@ -177,9 +196,14 @@ def logistic_sphere(
 def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> Problem:
     r"""Regularised mean curvature flow of the unit sphere, carrying a constant amount of u.
 
-    f = g = 0. The radius obeys r' (1 + 2 alpha/r^2) = -2 beta/r, hence
-    r^2/2 + 2 alpha ln r = 1/2 - 2 beta t: for alpha > 0 the sphere never vanishes. Conservation
-    of mass gives u = u0/r^2.
+    f = g = 0, and
+
+    .. math::
+
+        r' \Bigl( 1 + \frac{2\alpha}{r^2} \Bigr) = -\frac{2\beta}{r}, \qquad
+        \frac{r^2}{2} + 2\alpha \ln r = \frac12 - 2\beta t, \qquad u = \frac{u_0}{r^2}
+
+    by conservation of mass. For alpha > 0 the sphere never vanishes.
 
     Parameters
     ----------
@@ -227,8 +251,13 @@ def growing_sphere(
 ) -> Problem:
     r"""A sphere that grows by what it carries: g = delta u, f = 0.
 
-    u = u0/r^2 by conservation of mass, and r' = (delta u0 - 2 beta r)/(r^2 + 2 alpha), which is
-    integrated with SciPy to a tolerance of 1e-13.
+    By conservation of mass
+
+    .. math::
+
+        u = \frac{u_0}{r^2}, \qquad r' = \frac{\delta u_0 - 2\beta r}{r^2 + 2\alpha},
+
+    which is integrated with SciPy to a tolerance of 1e-13.
 
     Parameters
     ----------

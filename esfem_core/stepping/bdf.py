@@ -101,7 +101,9 @@ def _delta_exact(p: int) -> tuple[Fraction, ...]:
 
 
 def extrapolate(values: Sequence[Array]) -> Array:
-    """Extrapolate equidistant values to the next, sum_j gamma_j values[j] ([N] (2.18)).
+    r"""Extrapolate equidistant values to the next, [N] (2.18).
+
+    .. math:: \sum_{j=0}^{p-1} \gamma_j\, \text{values}[j]
 
     Parameters
     ----------

@@ -215,10 +215,15 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
 
 
 def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
-    """Defects of the semi-discretization: the limit of :func:`defects` as tau goes to 0.
+    r"""Defects of the semi-discretization: the limit of :func:`defects` as tau goes to 0.
 
-    d/dt (M(x_*) u_*) + A(x_*) u_* - f(x_*, u_*), which with opposite sign is M r of [LMV] (5.2),
-    and K(x_*) v_* + beta A(x_*) x_* - g(x_*, u_*), which is [N] (6.2).
+    .. math::
+
+        M(x_*) d_u &= \frac{\mathrm d}{\mathrm dt} \bigl( M(x_*) u_* \bigr) + A(x_*) u_*
+            - f(x_*, u_*) \\
+        M(x_*) d_v &= K(x_*) v_* + \beta A(x_*) x_* - g(x_*, u_*)
+
+    The first with opposite sign is M r of [LMV] (5.2), the second [N] (6.2).
 
     Parameters
     ----------
@@ -298,7 +303,11 @@ def stretching(space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike) -> Arr
 def rate_of_mass(
     space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike, rate: ArrayLike
 ) -> Array:
-    """d/dt (M(x) u) = M(x) u' + q(x; v; u, .) for nodes that move with v.
+    r"""Rate of change of M(x) u for nodes that move with v.
+
+    .. math::
+
+        \frac{\mathrm d}{\mathrm dt} \bigl( M(x) u \bigr) = M(x)\, \dot u + q(x; v; u, \cdot)
 
     Parameters
     ----------

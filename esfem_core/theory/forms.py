@@ -1,8 +1,12 @@
 r"""The bilinear forms m, a, q of [N] 5.2 and [LMV] 5 on discrete and on exact surfaces.
 
-On Γ_h[x], for finite element functions with nodal vectors w, z and a velocity v::
+On Γ_h[x], for finite element functions with nodal vectors w, z and a velocity v
 
-    m = w^T M z = int w z,     a = w^T A z = int grad w . grad z,     q = int (div v) w z.
+.. math::
+
+    m(w, z) = \int_{\Gamma_h} w z = w^T M z, \qquad
+    a(w, z) = \int_{\Gamma_h} \nabla w \cdot \nabla z = w^T A z, \qquad
+    q(v; w, z) = \int_{\Gamma_h} (\nabla \cdot v)\, w z.
 
 On the exact surface Γ they act on lifts, w^l(p(y)) = w(y) with the closest-point map p. The
 integrals are pulled back to Γ_h[x], where Γ is only another weight: the area ratio for m, a
@@ -41,7 +45,9 @@ DENSE = 1000  # up to this size all eigenvalues cost less than the iteration for
 
 
 def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_array:
-    """Matrix of int weight w z over Γ_h[x].
+    r"""Matrix of m with a weight.
+
+    .. math:: M_{ij} = \int_{\Gamma_h[x]} \text{weight}\; \varphi_i \varphi_j
 
     Parameters
     ----------
@@ -79,7 +85,11 @@ def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_
 
 
 def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) -> csr_array:
-    """Matrix of int grad w . tensor grad z over Γ_h[x].
+    r"""Matrix of a with a tensor.
+
+    .. math::
+
+        A_{ij} = \int_{\Gamma_h[x]} \nabla\varphi_i \cdot \text{tensor}\, \nabla\varphi_j
 
     Parameters
     ----------
@@ -166,9 +176,14 @@ def _velocity_gradient(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
 
 def mass_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
-    """Matrix of q(x; v; w, z) = int (div v) w z, the rate of change of the mass matrix.
+    r"""Matrix of q, the rate of change of the mass matrix.
 
-    [N] 5.2: if the nodes move with velocities v, then d/dt M(x(t)) is this matrix.
+    [N] 5.2: if the nodes move with velocities v, then
+
+    .. math::
+
+        \frac{\mathrm d}{\mathrm dt}\, w^T M(x)\, z = q(x; v; w, z)
+        = \int_{\Gamma_h[x]} (\nabla \cdot v)\, w z.
 
     Parameters
     ----------
@@ -196,10 +211,16 @@ def mass_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
 
 
 def stiffness_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
-    """Matrix of b(x; v; w, z) = int grad w . D(v) grad z, the rate of change of A(x).
+    r"""Matrix of b, the rate of change of the stiffness matrix.
 
-    [N] Lemma 3.1 (i): if the nodes move with velocities v, then d/dt A(x(t)) is this matrix, with
-    D(v) from :func:`deformation`.
+    [N] Lemma 3.1 (i): if the nodes move with velocities v, then
+
+    .. math::
+
+        \frac{\mathrm d}{\mathrm dt}\, w^T A(x)\, z = b(x; v; w, z)
+        = \int_{\Gamma_h[x]} \nabla w \cdot D(v)\, \nabla z
+
+    with D(v) from :func:`deformation`.
 
     Parameters
     ----------
@@ -250,12 +271,14 @@ class Lift(NamedTuple):
 
 
 def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
-    """Compute the closest-point map from Γ_h[x] to an exact surface, and its differential.
+    r"""Compute the closest-point map from Γ_h[x] to an exact surface, and its differential.
 
-    With d the distance, ν and ν_h the normals and W the Weingarten map at p::
+    With d the distance, ν and ν_h the normals and W the Weingarten map at p,
 
-        ratio    = (ν_h . ν) / det(I + d W),
-        gradient = (I + d W) (I - ν_h ν^T / (ν_h . ν)).
+    .. math::
+
+        \text{ratio} = \frac{\nu_h \cdot \nu}{\det(I + d W)}, \qquad
+        \text{gradient} = (I + d W) \Bigl( I - \frac{\nu_h \nu^T}{\nu_h \cdot \nu} \Bigr).
 
     Parameters
     ----------
@@ -299,7 +322,9 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
 
 
 def gradient_load(space: SurfaceSpace, x: Array, field: ArrayLike) -> Array:
-    """Load vector b_j = int_{Γ_h[x]} field . grad phi_j, by quadrature.
+    r"""Load vector of a field and the gradients of the basis functions, by quadrature.
+
+    .. math:: b_j = \int_{\Gamma_h[x]} \text{field} \cdot \nabla\varphi_j
 
     Parameters
     ----------

@@ -3,11 +3,13 @@ r"""How far a discrete surface is from the exact one, in all the norms of a proo
 [N] Lemmas 5.2 to 5.4 and (6.3), [LMV] (5.5) to (5.10): distance and normal, the forms m, a and q,
 the velocity of the lifted surface, the interpolation of functions. With d the signed distance, W
 the Weingarten map at the closest point p, and D²d = W (I + d W)^{-1} at the point itself, which
-[LMV] call \mathcal{H}::
+[LMV] call :math:`\mathcal H`,
 
-    I - d D²d = (I + d W)^{-1},
-    B_h       = Pr_h (I - d D²d),
-    R_h       = Pr (I - d D²d) Pr_h (I - d D²d) / δ_h.
+.. math::
+
+    I - d\, D^2 d &= (I + d W)^{-1}, \\
+    B_h &= \mathrm{Pr}_h\, (I - d\, D^2 d), \\
+    R_h &= \frac1{\delta_h}\, \mathrm{Pr}\, (I - d\, D^2 d)\, \mathrm{Pr}_h\, (I - d\, D^2 d).
 """
 
 from collections.abc import Callable

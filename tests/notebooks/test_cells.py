@@ -76,3 +76,12 @@ def test_a_chapter_has_a_cell_of_parameters_after_its_imports(path):
     ]
     assert set_here
     assert all(name.isupper() or len(name) == 1 for name in set_here)  # r is a formula's letter
+
+
+@named(CHAPTERS)
+def test_every_exercise_has_a_solution_and_one_asks_for_a_prediction(path):
+    cells = json.loads(path.read_text("utf8"))["cells"]
+    text = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+    boxes = re.findall(r"\{admonition\} (Exercise|Solution)(.*?)\n:::", text, re.S)
+    assert [kind for kind, _ in boxes] == ["Exercise", "Solution"] * (len(boxes) // 2)
+    assert any(re.search("predict|before you run", body, re.I) for _, body in boxes[::2])

@@ -1,6 +1,6 @@
 """The built book, and a browser without network to read it in.
 
-Run by ``make check-book``, which builds the book first.
+Run by ``make check-book``, which builds the book first, and by ``make check-firefox``.
 """
 
 import os
@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+BROWSER = os.environ.get("BROWSER", "chromium")  # or "firefox"
+on_chromium = pytest.mark.skipif(
+    BROWSER != "chromium", reason="Firefox cannot be told yet what its system or its medium is"
+)
 ROOT = Path(__file__).parents[2]
 HTML = ROOT / "_build" / "html"
 PAGES = sorted(
@@ -34,25 +38,39 @@ def built():
         pytest.fail("there is no built book in _build/html: run `make check-book`")
 
 
-@pytest.fixture(scope="session")
-def browser():
-    """Give a headless Chromium that draws WebGL in software."""
+def chromium(playwright):
+    """Start a headless Chromium that draws WebGL in software."""
     names = ("chromium", "chromium-browser", "google-chrome")
     found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
     if not found:
         pytest.skip("no Chromium found: install it, or name its executable in CHROMIUM")
+    return playwright.chromium.launch(
+        executable_path=found,
+        args=[
+            *("--no-sandbox", "--disable-dev-shm-usage"),
+            *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+        ],
+    )
+
+
+def firefox(playwright):
+    """Start the Firefox of the system, without a window."""
+    names = ("firefox-esr", "firefox")
+    found = os.environ.get("FIREFOX") or next(filter(None, map(shutil.which, names)), None)
+    if not found:
+        pytest.skip("no Firefox found: install it, or name its executable in FIREFOX")
+    return playwright.firefox.launch(channel="moz-firefox", executable_path=found)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Give the browser to read in."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(
-            executable_path=found,
-            args=[
-                *("--no-sandbox", "--disable-dev-shm-usage"),
-                *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-            ],
-        )
-        yield chromium
-        chromium.close()
+        one = {"chromium": chromium, "firefox": firefox}[BROWSER](playwright)
+        yield one
+        one.close()
 
 
 class Reader:

@@ -2,7 +2,9 @@
 
 import pytest
 from bs4 import BeautifulSoup
-from conftest import HTML, PAGES
+from conftest import HTML, PAGES, on_chromium
+
+SCHEMES = ["light", pytest.param("dark", marks=on_chromium)]
 
 
 def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, reader):
@@ -20,7 +22,7 @@ def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, reader):
     assert missing == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_follows_the_theme_of_the_system(reader, scheme):
     tab = reader(scheme=scheme).open("book/ledger.html")
     assert tab.evaluate("document.documentElement.dataset.theme") == scheme
@@ -77,7 +79,7 @@ def test_the_ledger_is_cards_on_a_phone(reader):
     assert min(b["width"] for b in boxes) > 300
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_figure_is_that_of_the_theme_and_opens_alone(scheme, reader):
     tab = reader(scheme=scheme).open("book/05_g_stability.html")
     figures = tab.locator("a.esfem-full")
@@ -90,6 +92,7 @@ def test_a_figure_is_that_of_the_theme_and_opens_alone(scheme, reader):
         assert figure.locator("img").get_attribute("alt")
 
 
+@on_chromium
 def test_paper_shows_solutions_and_whole_lines_of_code(reader):
     tab = reader().open("book/05_g_stability.html")
     tab.emulate_media(media="print")
@@ -105,6 +108,13 @@ def test_every_page_says_how_to_cite_the_licence_what_is_new_and_where_the_sourc
     words = " ".join(link.text for link in foot)
     for word in ("cite", "CC BY 4.0", "MIT", "new", "Source"):
         assert word in words
+
+
+def test_every_picture_has_a_caption_and_words_for_those_who_do_not_see_it(page):
+    soup = BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
+    pictures = soup.select("main .cell_output img:not(.esfem-poster)")
+    bare = [p["src"] for p in pictures if not p.find_parent("figure") or p["alt"][:2] in ("", "..")]
+    assert bare == []
 
 
 MOVING = [
@@ -137,6 +147,7 @@ def test_a_moving_picture_leaves_the_wheel_to_the_page_and_offers_no_upload(read
     assert tab.locator(".modebar-btn").count() == 0
 
 
+@on_chromium
 def test_a_moving_picture_is_printed_as_stills(reader):
     tab = reader().open("book/intro.html")
     tab.emulate_media(media="print")

@@ -53,3 +53,9 @@ def test_a_chapter_leads_to_the_functions_that_it_uses_and_they_lead_back():
     room = BeautifulSoup((HTML / "book/api/theory.html").read_text("utf8"), "html.parser")
     back = [a["href"] for a in room.find(id=name).find_next("dd").select("a")]
     assert "../05_g_stability.html" in back
+
+
+def test_names_that_share_a_line_of_a_docstring_stay_names():
+    room = BeautifulSoup((HTML / "book/api/theory.html").read_text("utf8"), "html.parser")
+    errors = room.find(id="esfem_core.theory.geometry.GeometricErrors").find_next("dd")
+    assert {"distance, normal", "m, a, q"} <= {name.text for name in errors.select("li strong")}
