@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN    := .venv/bin
 STAMP  := .venv/.installed
 LITE   := .venv/lite
+PEERS  := .venv/.peers
 
 # Runs beside others, so each process keeps to one thread.
 export OMP_NUM_THREADS ?= 1
@@ -42,10 +43,15 @@ $(LITE)/.installed: lite/requirements.txt
 lite: book $(LITE)/.installed ## the book with chapters that run in it (PYODIDE=folder or address of a distribution)
 	$(LITE)/bin/python lite/build.py $(PYODIDE)
 
+# NGSolve, which tests/peers compares with. Where there is no wheel of it these tests are skipped,
+# but not in CI.
+$(PEERS): benchmarks/requirements.txt $(STAMP)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -r $< && touch $@ || echo "no NGSolve"
+
 # What a chapter states and does not hold fails here; a reader is told and can go on.
 book test compare-builds: export ESFEM_STRICT = 1
 
-test: $(STAMP) ## solver, doctests and all notebooks
+test: $(STAMP) $(PEERS) ## solver, doctests and all notebooks
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 \
 	    --nbval-lax --nbval-current-env tests esfem_core book
 
