@@ -78,23 +78,6 @@ def test_a_sphere_that_shrinks_to_a_point_stops_the_run(order, step):
     assert min(ec.measure(state).volume for state in states) > 0
 
 
-def test_a_neck_that_pinches_is_told_before_the_run_stops():
-    def dumbbell(x):
-        balls = [np.linalg.norm(x - [c, 0, 0], axis=1) - 1 for c in (-1.5, 1.5)]
-        bulge = 50 * np.maximum(np.abs(x[:, 0]) - 1.5, 0) ** 3
-        neck = np.hypot(x[:, 1], x[:, 2]) - 0.3 + bulge
-        return -0.1 * np.logaddexp.reduce([-v / 0.1 for v in (*balls, neck)])
-
-    tri = ec.from_level_set(dumbbell, [[-2.8, -1.3, -1.3], [2.8, 1.3, 1.3]], 0.25)
-    space = ec.SurfaceSpace(tri)
-    run = ec.evolve(space, ec.Problem(1.0, alpha=0), 1, 0.01, 0.3, start="euler")
-    with (
-        pytest.warns(ec.EvolutionWarning, match="has an angle below one degree"),
-        pytest.raises(ec.EvolutionError),
-    ):
-        list(run)
-
-
 @pytest.mark.parametrize("solver", ["lagged", "direct"])
 def test_no_solver_is_slow_on_meshes_of_hubs_and_long_triangles(solver):
     """Cuts along the rings of a cylinder made one dense front of 2,400 rows."""
