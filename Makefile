@@ -9,7 +9,7 @@ PEERS  := .venv/.peers
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv wheel book lite test full fuzz check-book check-lite lint format clean \
+.PHONY: help venv wheel book lite test full fuzz mutants check-book check-lite lint format clean \
         test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
@@ -64,6 +64,9 @@ full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start ag
 
 fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
 	$(BIN)/python tests/fuzz.py
+
+mutants: $(STAMP) ## faults put into the solver, of which its tests must notice nine in ten: half an hour
+	nice -n 19 $(BIN)/python tests/mutants.py
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests/pages

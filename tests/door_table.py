@@ -493,7 +493,8 @@ def doors() -> list[Door]:
         Door("spatial_defects", ec.defects.spatial_defects,
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
         Door("response", respond,
-             {"space": one(rough), "problem": one(problem), "order": whole(1, 0, 7, *HUGE),
+             {"space": one(rough), "problem": one(problem),
+              "order": whole(1, 0, 7, *HUGE, called=("start",)),  # of which there are so many
               "step": number(0.25, 0, -1, 0.3), "end": number(0.5, -1, 0.7),
               "chosen": Argument(chosen, "listed",
                                  [None, 1, "a", [], {}, *misbehaving(
