@@ -195,14 +195,6 @@ def test_exact_solutions_of_another_surface_or_motion_are_refused():
         ec.evolve(space, ec.Problem(1.0, motion=lambda p, t: (1 + t) * p, exact=still), 1, 0.1, 0.2)
 
 
-def test_a_slip_with_a_normal_part_is_warned_of_once():
-    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
-    law = ec.laws.with_slip(ec.laws.Regularised(), lambda at: 0.1 * at.x)
-    with pytest.warns(ec.EvolutionWarning, match="the slip w must be tangential") as warned:
-        list(ec.evolve(space, ec.Problem(law=law), 1, 0.01, 0.03))
-    assert len(warned) == 1
-
-
 def test_exact_solutions_refuse_no_times_and_do_not_integrate_for_ever():
     exact = ec.problems.growing_sphere().exact
     np.testing.assert_allclose(exact.x(np.eye(3), 1e12), 2 * np.eye(3), atol=1e-9)  # at rest
