@@ -4,13 +4,14 @@ BIN    := .venv/bin
 STAMP  := .venv/.installed
 LITE   := .venv/lite
 FIREFOX := .venv/firefox
+PEERS  := .venv/.peers
 
 # Runs beside others, so each process keeps to one thread.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv wheel book lite test full fuzz check-book check-firefox check-lite lint format clean \
-        test-oldest test-newest test-readers compare-builds lab
+.PHONY: help venv wheel book lite test full fuzz mutants check-book check-firefox check-lite lint format \
+        clean test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -43,10 +44,15 @@ $(LITE)/.installed: lite/requirements.txt
 lite: book $(LITE)/.installed ## the book with chapters that run in it (PYODIDE=folder or address of a distribution)
 	$(LITE)/bin/python lite/build.py $(PYODIDE)
 
+# NGSolve, which tests/peers compares with. Where there is no wheel of it these tests are skipped,
+# but not in CI.
+$(PEERS): benchmarks/requirements.txt $(STAMP)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -r $< && touch $@ || echo "no NGSolve"
+
 # What a chapter states and does not hold fails here; a reader is told and can go on.
 book test compare-builds: export ESFEM_STRICT = 1
 
-test: $(STAMP) ## solver, doctests and all notebooks
+test: $(STAMP) $(PEERS) ## solver, doctests and all notebooks
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 \
 	    --nbval-lax --nbval-current-env tests esfem_core book
 
@@ -59,6 +65,9 @@ full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start ag
 
 fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
 	$(BIN)/python tests/fuzz.py
+
+mutants: $(STAMP) ## faults put into the solver, of which its tests must notice nine in ten: half an hour
+	nice -n 19 $(BIN)/python tests/mutants.py
 
 check-book: book ## the built pages, in a browser without network
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations 10 tests/pages

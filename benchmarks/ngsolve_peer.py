@@ -1,15 +1,17 @@
-"""The same discretisation in NGSolve: quadratic elements on the same mesh, moved by a deformation.
+"""The same discretisation in NGSolve: the same mesh and degree, moved by a deformation.
 
-NGSolve's basis is hierarchical (vertex functions and edge bubbles), ours nodal; both span the same
-space, and :class:`Peer` converts between nodal values and NGSolve's coefficients.
+NGSolve's basis is hierarchical (vertex functions and bubbles), ours nodal; both span the same
+space, and :class:`Peer` converts between nodal values and NGSolve's coefficients. ``run.py``
+compares its times, ``tests/peers`` its numbers.
 """
 
 import netgen.meshing as nm
 import ngsolve as ng
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
-INTEGRATION_ORDER = 4  # the 6-point rule on triangles, as in our default for quadratic elements
+from esfem_core.elements import node_indices
 
 
 class Peer:
@@ -18,11 +20,12 @@ class Peer:
     Parameters
     ----------
     space : esfem_core.SurfaceSpace
-        Of degree 2.
+    exactness : int, optional
+        Of NGSolve's own quadrature. Default: that of the space's; 4 and 6 are the same rules.
     """
 
-    def __init__(self, space):
-        self.space = space
+    def __init__(self, space, exactness=None):
+        self.space, k = space, space.degree
         n_vertices = int(space.cells[:, :3].max()) + 1
         mesh = nm.Mesh(dim=3)
         points = [mesh.Add(nm.MeshPoint(nm.Pnt(*p))) for p in space.nodes[:n_vertices]]
@@ -30,63 +33,50 @@ class Peer:
         for a, b, c in space.cells[:, :3]:
             mesh.Add(nm.Element2D(1, [points[a], points[b], points[c]]))
         self.mesh = ng.Mesh(mesh)
-        self.fes = ng.H1(self.mesh, order=2)
-        self.vector = ng.VectorH1(self.mesh, order=2)
-        self._number_edges(n_vertices)
+        self.fes = ng.H1(self.mesh, order=k)
+        self.vector = ng.VectorH1(self.mesh, order=k)
+        self.to_nodal = self._basis_at_nodes()
+        self._to_coefficients = splu(self.to_nodal.tocsc())
 
-        self.base = space.nodes.copy()
-        ends = self.edges[:, 1:]
-        self.base[self.edges[:, 0]] = self.base[ends].mean(axis=1)
+        self.base = np.empty_like(space.nodes)  # nodes of the flat triangles
+        corners = space.nodes[space.cells[:, :3]]
+        self.base[space.cells] = node_indices(k) / k @ corners
         self.deformation = ng.GridFunction(self.vector)
         self.mesh.SetDeformation(self.deformation)
 
         u, w = self.fes.TnT()
-        ds = ng.ds(intrules={ng.TRIG: ng.IntegrationRule(ng.TRIG, INTEGRATION_ORDER)})
-        self.ds = ds
+        rule = ng.IntegrationRule(ng.TRIG, space.rule.exactness if exactness is None else exactness)
+        self.ds = ds = ng.ds(intrules={ng.TRIG: rule})
         self.M = ng.BilinearForm(u * w * ds, symmetric=False)
         self.A = ng.BilinearForm(ng.grad(u).Trace() * ng.grad(w).Trace() * ds, symmetric=False)
 
-    def _number_edges(self, n_vertices):
-        """Edges as rows (our edge node, end, end) in NGSolve's order, and the bubbles' height."""
-        cells = self.space.cells
-        node_of = {}
-        for column, (a, b) in zip((3, 4, 5), ((0, 1), (1, 2), (2, 0)), strict=True):
-            for node, i, j in cells[:, [column, a, b]].tolist():
-                node_of[min(i, j), max(i, j)] = node
-        rows, dofs = [], []
-        for edge in self.mesh.edges:
-            i, j = sorted(v.nr for v in edge.vertices)
-            rows.append((node_of[i, j], i, j))
-            (dof,) = self.fes.GetDofNrs(edge)
-            dofs.append(dof)
-        self.edges, self.edge_dofs = np.array(rows), np.array(dofs)
-        self.vertex_dofs = np.array(
-            [self.fes.GetDofNrs(ng.NodeId(ng.VERTEX, i))[0] for i in range(n_vertices)]
-        )
-        bubble = ng.GridFunction(self.fes)
-        bubble.vec[:] = 0
-        bubble.vec[int(self.edge_dofs[0])] = 1
-        touching = cells[(cells == self.edges[0, 0]).any(axis=1), :3]
-        a, b, c = self.space.nodes[touching.T]
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-        mean = ng.Integrate(bubble * ng.ds, self.mesh) / area
-        self.height = 3 * mean  # a quadratic bubble 4 l_i l_j has mean 1/3
+    def _basis_at_nodes(self):
+        """NGSolve's functions at our nodes: rows of nodes, columns of coefficients."""
+        # NGSolve's corners of the reference triangle are (1, 0), (0, 1), (0, 0).
+        points = (node_indices(self.space.degree) / self.space.degree)[:, :2].tolist()
+        rows, columns, values = [], [], []
+        for cell, element in zip(self.space.cells, self.fes.Elements(ng.BND), strict=True):
+            finite_element = self.fes.GetFE(ng.ElementId(element))
+            rows.append(np.repeat(cell, len(cell)))
+            columns.append(np.tile(element.dofs, len(cell)))
+            values.append(np.array([finite_element.CalcShape(*p) for p in points]).ravel())
+        rows, columns, values = map(np.concatenate, (rows, columns, values))
+        # What several elements share has the same values in all of them: take the last.
+        _, last = np.unique(rows.astype(np.int64) * self.fes.ndof + columns, return_index=True)
+        n = len(self.space.nodes)
+        return sp.csr_array((values[last], (rows[last], columns[last])), shape=(n, n))
 
     def coefficients(self, nodal):
         """NGSolve's coefficients, (ndof, ...), of nodal values (N, ...)."""
-        out = np.empty_like(nodal)
-        node, i, j = self.edges.T
-        out[self.vertex_dofs] = nodal[: len(self.vertex_dofs)]
-        out[self.edge_dofs] = (nodal[node] - (nodal[i] + nodal[j]) / 2) / self.height
-        return out
+        return self._to_coefficients.solve(np.ascontiguousarray(nodal))
 
     def nodal(self, coefficients):
         """Nodal values of NGSolve's coefficients."""
-        out = np.empty_like(coefficients)
-        node, i, j = self.edges.T
-        out[: len(self.vertex_dofs)] = coefficients[self.vertex_dofs]
-        out[node] = coefficients[self.edge_dofs] * self.height + (out[i] + out[j]) / 2
-        return out
+        return self.to_nodal @ coefficients
+
+    def dual(self, load):
+        """The load vector of our basis, (N, ...), of one of NGSolve's."""
+        return self._to_coefficients.solve(np.ascontiguousarray(load), trans="T")
 
     def move(self, x):
         """Set the deformation so that the surface is Γ_h[x]."""

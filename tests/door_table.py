@@ -4,10 +4,12 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import meshio
 import numpy as np
 from doors import (
     Argument,
     Door,
+    answering,
     array,
     flag,
     function,
@@ -39,6 +41,10 @@ def _still(p, t):
     return p
 
 
+def _along(at):
+    return np.cross([0.0, 0.0, 0.1], at.x)
+
+
 def _turning(x, t):
     return np.cross([0.0, 0.0, 1.0], x)
 
@@ -63,6 +69,7 @@ def doors() -> list[Door]:
     rough = ec.SurfaceSpace(ec.sphere("octahedron", 0))
     flat = ec.SurfaceSpace(tri)
     simple = ec.Problem(u0=1.0, motion=_still)
+    curved = meshio.Mesh(space.nodes, [("triangle6", space.cells)])
 
     def evolve(problem=simple, space=rough, order=1, step=0.5, end=1.0, **options):
         """Run to the end."""
@@ -92,6 +99,63 @@ def doors() -> list[Door]:
         state = ec.State(0.0, x, None, u, space=space)
         return ec.errors.lifted(space, ec.Problem(u0=1.0, motion=_still, exact=exact), state)
 
+    class Own:
+        """A law of one's own, some of whose methods misbehave."""
+
+        def __init__(self, **given):
+            self.given = given
+
+        @property
+        def species(self):
+            return {"w": ec.Species(None, diffusivity=0.1)}
+
+        def initial(self, at):
+            return {"w": self.given.get("initial", lambda at: at.x[:, 0])(at)}
+
+        def equations(self, tau, past):
+            return self.given.get("equations", lambda tau, past: self.species)(tau, past)
+
+        def slip(self, at):
+            return self.given.get("slip", lambda at: None)(at)
+
+        def velocity(self, at, new, tau, past, solve):
+            if "matrix" in self.given:
+                return 0.1 * solve(self.given["matrix"](at.M), self.given["load"](at.x))
+            return self.given.get("velocity", lambda at: 0.1 * at.x)(at)
+
+    def run_own(**given):
+        return evolve(
+            ec.Problem(species={"u": ec.Species(1.0)}, law=Own(**given)), step=0.05, end=0.1
+        )
+
+    def chosen(n):
+        zero = np.zeros_like(rough.nodes)
+        return theory.defects.Defects(zero[:, 0], zero, zero)
+
+    def respond(**given):
+        options = {"space": rough, "problem": problem, "order": 1, "step": 0.25, "end": 0.5,
+                   "chosen": chosen, **given}  # fmt: skip
+        return list(theory.stability.response(**options))
+
+    def misbehaving(*bad):
+        """Functions n -> defects that are none."""
+        return [lambda n, b=b: b for b in bad]
+
+    sphere_text = "x1**2 + x2**2 + x3**2 - 1"
+
+    def manufactured(**given):
+        options = {"d": sphere_text, "motion": ("p1", "p2", "p3"), "until": 0.1, **given}
+        return ec.manufactured(**options)
+
+    EXPRESSIONS = (None, [], {}, object(), NAN, True, "", "no such", "x1 +", b"x1", 1j, np.ones(3),
+                   "q1 + x1", "import os", ["x1", "x2"])  # fmt: skip
+
+    def write_series(state):
+        ec.SeriesWriter(folder / "written.pvd").write(state)
+
+    def write_table(row):
+        ec.TableWriter(folder / "written.csv").write(row)
+
     def surfaces_state(**given):
         return ec.Surface(**{"space": space, "x": x, **given})
 
@@ -107,6 +171,7 @@ def doors() -> list[Door]:
              {"tri": one(tri), "share": number(0.1, -1.0), "project": returning(ec.to_unit_sphere),
               "seed": whole(0, -1)}),
         Door("check_triangulation", ec.check_triangulation, {"tri": one(tri)}),
+        Door("smooth", ec.smooth, {"tri": one(tri), "crease": number(50.0, -1, 181)}),
         Door("mesh_quality", ec.mesh_quality, {"tri": one(tri)}),
         Door("repair", lambda tri=tri, **o: ec.repair(tri, **{"report": None, **o}),
              {"tri": one(tri), "holes": whole(12, -1),
@@ -146,6 +211,17 @@ def doors() -> list[Door]:
         Door("from_nodes", ec.SurfaceSpace.from_nodes,
              {"nodes": array(space.nodes), "cells": array(space.cells, space.cells + 1),
               "exactness": whole(4, -1, 10**9, 0, optional=True), "order": option("vtk")}),
+        Door("SurfaceSpace.read",
+             lambda source=None, **o: ec.SurfaceSpace.read(curved if source is None else source,
+                                                           **{"report": None, **o}),
+             {"source": Argument(curved, "listed", [1, 1.5, [], {}, "", "/no/such/file.msh", object(), True,
+                                                    np.ones((3, 3)), b"a", str(folder),
+                                                    meshio.Mesh(curved.points, []),
+                                                    meshio.Mesh(curved.points[:, :2], curved.cells),
+                                                    meshio.Mesh(curved.points * NAN, curved.cells),
+                                                    meshio.Mesh(curved.points[:3], [("triangle", [[0, 1, 2]])])]),
+              "exactness": whole(4, -1, 10**9, 0, optional=True),
+              "report": function(lambda text: None, optional=True), "boundary": flag(False)}),
         Door("mass_stiffness", space.mass_stiffness, {"x": array(x)}),
         Door("mass", space.mass, {"x": array(x)}),
         Door("evaluate", space.evaluate, {"u": array(u, finite=False, after=True)}),
@@ -256,6 +332,37 @@ def doors() -> list[Door]:
         Door("with_slip, run",
              lambda w: run_law(lambda: ec.laws.with_slip(ec.laws.Regularised(), w))(),
              {"w": returning(lambda at: np.cross([0, 0, 1.0], at.x))}),
+        Door("law of one's own, run", run_own,
+             {"initial": answering(lambda at: at.x[:, 0], called=("w",)),
+              "equations": Argument(lambda tau, past: {"w": ec.Species(None)}, "listed",
+                                    [lambda t, p: None, lambda t, p: 1, lambda t, p: "a",
+                                     lambda t, p: {}, lambda t, p: {"w": 1}, lambda t, p: [],
+                                     lambda t, p: {"z": ec.Species(1.0)}]),
+              "slip": answering(_along, instead=(None,)),
+              "velocity": answering(lambda at: 0.1 * at.x)}),
+        Door("law of one's own, solve", run_own,
+             {"matrix": Argument(lambda M: M, "listed",
+                                 [lambda M: None, lambda M: 1, lambda M: "a", lambda M: M.toarray(),
+                                  lambda M: M[:-1], lambda M: -M, lambda M: 0 * M, lambda M: M * NAN,
+                                  lambda M: M * 1j], called=("A",)),
+              "load": answering(lambda b: b, called=("b", "w"))}),
+        Door("Species, fixed", lambda fixed: run_species(initial=1.0, fixed=([0, 2], fixed)),
+             {"fixed": returning(lambda x, t: x[:, 0], constant=True, instead=(int,))}),
+        Door("Species, fixed nodes",
+             lambda nodes: run_species(initial=1.0, fixed=(nodes, 0.0)),
+             {"nodes": Argument([0, 2], "listed", [None, 1j, "a", [], {}, [0, 0], [-1], [10**6], [0.5],
+                                                   [NAN], [[0]], True, object(), lambda x: 5],
+                                called=("fixed",))}),
+        Door("manufactured", manufactured,
+             {"d": Argument(sphere_text, "listed", [*EXPRESSIONS, "x1**2 + x2**2 + x3**2", "1",
+                                                    "x1**2 + x2**2 + x3**2 + 1", 1.0]),
+              "motion": Argument(("p1", "p2", "p3"), "listed",
+                                 [*EXPRESSIONS, ("p1", "p2"), ("p1", "p2", "q"), ("2*p1", "p2", "p3"),
+                                  ("p1", "p2", "p3", "p1"), ("p1 + t", "p2", "p3"), 1.0]),
+              "u": Argument("x1", "listed", [v for v in EXPRESSIONS if v is not None]),
+              "alpha": number(1.0, -1, optional=True), "beta": number(1.0, -1, optional=True),
+              "diffusivity": number(1.0, -1), "prescribed": flag(False),
+              "until": number(0.1, 0, -1)}),
         Door("expanding_sphere", ec.problems.expanding_sphere,
              {"coupling": option("smooth"), "alpha": number(1.0, -1), "beta": number(1.0, -1)}),
         Door("growing_sphere", ec.problems.growing_sphere,
@@ -308,6 +415,10 @@ def doors() -> list[Door]:
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
         Door("save", ec.save, {"path": path(str(folder / "a.npz")), "states": several(states)}),
         Door("load file", ec.load, {"path": path(str(folder / "run.npz"))}),
+        Door("remeshed", lambda states=last, h=0.9, **o: ec.remeshed(states, h, **o),
+             {"states": Argument(last, "listed", [None, 1, "a", [], {}, object(), [None], [1]]),
+              "h": number(0.9, 0, -1, optional=True),
+              "problem": one(problem, optional=True)}),
         Door("respaced", ec.respaced,
              {"states": several(states), "step": number(0.1, 0, -1),
               "order": whole(2, 0, *HUGE, optional=True)}),
@@ -381,6 +492,20 @@ def doors() -> list[Door]:
               "step": number(0.1, 0, -1), "n": whole(2, 0, -1)}),
         Door("spatial_defects", ec.defects.spatial_defects,
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("response", respond,
+             {"space": one(rough), "problem": one(problem),
+              "order": whole(1, 0, 7, *HUGE, called=("start",)),  # of which there are so many
+              "step": number(0.25, 0, -1, 0.3), "end": number(0.5, -1, 0.7),
+              "chosen": Argument(chosen, "listed",
+                                 [None, 1, "a", [], {}, *misbehaving(
+                                     None, 1, "a", (), {}, chosen(0)._replace(u=np.ones(2)),
+                                     chosen(0)._replace(v=chosen(0).v * 1j),
+                                     chosen(0)._replace(x=None), chosen(0)._replace(u="a"),
+                                     chosen(0)._replace(u=chosen(0).u * NAN))]),
+              "start": Argument([(0 * rough.nodes, np.zeros(len(rough.nodes)))], "listed",
+                                [1, "a", [], {}, [None], [1], [(1, 2)], ["ab"],
+                                 [(rough.nodes, rough.nodes)], [(rough.nodes * 1j, rough.nodes[:, 0])],
+                                 [(rough.nodes * NAN, rough.nodes[:, 0])], object(), True])}),
         Door("prolongation", theory.ritz.prolongation, {"space": one(flat), "fine": one(space)}),
         Door("ritz_projection", theory.ritz.ritz_projection,
              {"space": one(flat), "x": array(flat.nodes), "fine": one(space), "y": array(x),
@@ -396,6 +521,11 @@ def doors() -> list[Door]:
              {"A": one(K), "b": array(u, after=True)}),
         Door("superlu", solvers.superlu,
              {"A": one(K), "order": array(np.arange(n), np.zeros(n), optional=True)}),
+        Door("cholmod", solvers.cholmod,
+             {"A": one(K), "order": array(np.arange(n), np.zeros(n), optional=True)}),
+        Door("factorise", solvers.factorise,
+             {"A": one(K), "fronts": one(space.fronts),
+              "dtype": Argument(None, "listed", ["no", int, complex, [], {}, object(), np.float16])}),
         # output
         Door("plot", ec.plot,
              {"state": one(last), "values": Argument("u", "listed", ["no", 1.0, [], u[:-1], {},
@@ -412,6 +542,19 @@ def doors() -> list[Door]:
              {"space": one(space), "states": several(states[:1]),
               "values": function(lambda s: s.u, optional=True), "title": text("a"),
               "label": text("a"), "div_id": text("a"), "duration": whole(80, 0, -1)}),
+        Door("SeriesWriter", ec.SeriesWriter,
+             {"path": Argument(str(folder / "b.pvd"), "listed",
+                               [1, None, [], "a.txt", "", b"a", "/no/such/folder/a.pvd", True]),
+              "normals": flag(False), "go_on": flag(False)}),
+        Door("SeriesWriter.write", write_series, {"state": one(last)}),
+        Door("TableWriter", ec.TableWriter,
+             {"path": Argument(str(folder / "b.csv"), "listed",
+                               [1, None, [], "a.txt", "", b"a", "/no/such/folder/a.csv", True])}),
+        Door("TableWriter.write", write_table,
+             {"row": Argument({"t": 0.1, "a": np.ones(2)}, "listed",
+                              [None, 1, "a", [], {}, [1], object(), {1: 2.0},
+                               {"a": 1j}, {"a": object()}, {"b": {}},
+                               {"a": {"b": 1j}}], called=("rows",))}),
         Door("save_series", ec.save_series,
              {"path": Argument(str(folder / "a.pvd"), "listed", [1, None, [], "a.txt", "", b"a"]),
               "states": several(states[:1]), "normals": flag(False), "go_on": flag(False)}),

@@ -90,6 +90,11 @@ def returning(good, optional=False, called=(), constant=False, instead=(), any_s
     return Argument(good, "returning", (constant, instead, any_shape), optional, called)
 
 
+def answering(good, instead=(), called=(), constant=False):
+    """Like `returning`, for a method: it is there, but may return what it must not."""
+    return Argument(good, "answering", (constant, instead, False), False, called)
+
+
 def text(good, optional=False):
     return Argument(good, "text", None, optional)
 
@@ -133,10 +138,14 @@ def wrong(argument: Argument) -> list[tuple[str, Any]]:
             found += [[None], [1, 2], ["a"], [Thing()], [*good, None]]
         case "function":
             found = [*NO_FUNCTION, None]
-        case "returning":
+        case "returning" | "answering":
             constant, instead, any_shape = detail
-            found = [*NO_FUNCTION, None, *_wrongly_returning(good, constant, any_shape)]
+            found = [*NO_FUNCTION, None] if argument.family == "returning" else []
             found = [v for v in found if not _stands(v, instead)]
+            returning_functions = _wrongly_returning(good, constant, any_shape)
+            if argument.family == "answering" and None in instead:
+                returning_functions = [v for v in returning_functions if "none" not in v.__name__]
+            found += returning_functions
         case "text":
             found = [1, NAN, [], Thing(), b"a", True]
         case "path":

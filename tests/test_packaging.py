@@ -42,13 +42,21 @@ def test_conda_environment_installs_what_the_lock_pins(lock):
 def test_every_requirement_is_pinned_to_a_version_that_satisfies_it(lock):
     extras = PROJECT["optional-dependencies"]
     assert set(extras) >= {"book", "test"}
-    # Not pinned: what benchmarks by hand compare with, and JupyterLab, which no test needs.
+    # Not pinned: JupyterLab, which no test needs. Pinned elsewhere: what numbers are compared with.
     pinned = [group for name, group in extras.items() if name not in ("bench", "notebooks")]
     for text in [*PROJECT["dependencies"], *(r for group in pinned for r in group)]:
         requirement = Requirement(text)
         name = canonicalize_name(requirement.name)
         assert name in lock, f"{text} is not in requirements.lock"
         assert requirement.specifier.contains(lock[name], prereleases=True), f"{text}: {lock[name]}"
+
+
+def test_the_extra_bench_is_pinned_in_a_file_of_its_own(lock):
+    lines = (ROOT / "benchmarks/requirements.txt").read_text("utf8").splitlines()
+    found = pins(line for line in lines if not line.startswith("#"))
+    assert set(found) == {canonicalize_name(r) for r in PROJECT["optional-dependencies"]["bench"]}
+    for name in set(found) & set(lock):
+        assert found[name] == lock[name]
 
 
 def test_the_lock_is_closed(lock):

@@ -285,7 +285,12 @@ class SurfaceSpace:
             function("report", report, "of a line of text, or None")
         found = curved_elements(source)
         [(_, cells)] = found.cells
-        space = cls.from_nodes(found.points, cells, exactness, order="meshio", boundary=boundary)
+        try:
+            space = cls.from_nodes(
+                found.points, cells, exactness, order="meshio", boundary=boundary
+            )
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"source, {found.name}: {error}") from error
         if report is not None:
             report(
                 f"{found.name}: degree {space.degree}, {len(space.nodes)} nodes, {len(cells)} cells"

@@ -97,7 +97,8 @@ class Fixed:
         if not 0 <= nodes.min() <= nodes.max() < n:
             raise ValueError(f"{called} must lie in 0 to {n - 1}, got {nodes.min()}, {nodes.max()}")
         if len(np.unique(nodes)) < len(nodes):
-            raise ValueError(f"{called} must not be repeated")
+            repeated = np.sort(nodes)[:-1][np.diff(np.sort(nodes)) == 0][0]
+            raise ValueError(f"{called} must not be repeated, but {repeated} is")
         return np.asarray(nodes)
 
     def at(self, name: str, x: Array, t: float, trailing: tuple[int, ...]) -> Array:
@@ -126,13 +127,15 @@ class Fixed:
         """
         shape = (len(x), *trailing)
         values = self.values(x.copy(), t) if callable(self.values) else self.values
-        if np.ndim(values) == 0 and np.isscalar(values):
+        if np.isscalar(values):
             values = np.full(shape, values)
         values = real_array(f"fixed of {name!r}", values, shape)
         if not np.isfinite(values).all():
             node = int(np.argmin(np.isfinite(values).reshape(len(x), -1).all(axis=1)))
             where = np.array2string(x[node], precision=4)
-            raise FloatingPointError(f"fixed of {name!r} is not finite at {where} at t = {t:.6g}")
+            raise FloatingPointError(
+                f"fixed of {name!r} must be finite, but is not at {where} at t = {t:.6g}"
+            )
         return values
 
 

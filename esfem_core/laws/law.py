@@ -5,11 +5,11 @@ from typing import Protocol
 
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array
+from esfem_core.checks import Array, mapping, object_of
 from esfem_core.elements import Surface
 from esfem_core.laws.species import Species
 
-__all__ = ["Law", "Solve"]
+__all__ = ["Law", "Solve", "same_species"]
 
 Solve = Callable[[csr_array, Array], Array]
 
@@ -83,3 +83,24 @@ class Law(Protocol):
     # A law that knows the positions has a further method,
     #     position(nodes, t, before) -> (N, 3),
     # and (2.20) is then assembled on them and not on an extrapolated surface: see `Prescribed`.
+
+
+def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, Species]:
+    """What ``law.equations`` returns, refused if these are not the law's functions.
+
+    Examples
+    --------
+    >>> same_species({"H": Species(1.0)}, {})
+    Traceback (most recent call last):
+        ...
+    ValueError: what law.equations returns must have the species of law, 'H', but has none
+    """
+    if returned is own:
+        return own
+    found = mapping("what law.equations returns", returned, "Species")
+    if found.keys() != own.keys():
+        wanted, names = (", ".join(map(repr, s)) or "none" for s in (own, found))
+        raise ValueError(
+            f"what law.equations returns must have the species of law, {wanted}, but has {names}"
+        )
+    return {name: object_of(f"law.equations: {name!r}", found[name], Species) for name in own}

@@ -6,12 +6,14 @@ names; both read it back in the tests.
 
 import base64
 import csv
+import errno
 import io
 import os
 import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from html import escape
+from numbers import Real
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from esfem_core.checks import flag, iterable, output_path, shown
+from esfem_core.checks import flag, iterable, mapping, object_of, output_path, shown
 from esfem_core.output.curved import nodal_normals
 from esfem_core.stepping import State, check_state, write_whole
 
@@ -101,8 +103,7 @@ class SeriesWriter:
         self._written, self._last = written, state
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
-        if not isinstance(state, State):
-            raise TypeError(f"states must be States, got {shown(state)}")
+        object_of("state", state, State)
         if state.space is None:
             raise ValueError(
                 "states must know their space, but one has none: State(..., space=space)"
@@ -181,9 +182,10 @@ def save_series(
     State(t=0.3, nodes=578, fields: u)
     """
     writer = SeriesWriter(path, normals=normals, go_on=go_on)
-    last = None
-    for state in [states] if isinstance(states, State) else iterable("states", states, "States"):
-        writer.write(state)
+    last: State | None = None
+    several = [states] if isinstance(states, State) else iterable("states", states, "States")
+    for i, state in enumerate(several):
+        writer.write(object_of(f"states[{i}]", state, State))
         last = state
     if last is None:
         raise ValueError("states must hold at least one state, got none")
@@ -218,19 +220,24 @@ class TableWriter:
 
         Parameters
         ----------
-        row : NamedTuple or mapping of str to number, array or mapping
+        row : NamedTuple or mapping of str to number, text, None, array or mapping
             Such as ``ec.measure(state)``. Arrays and mappings get a column for each entry; all
             digits are written.
 
         Raises
         ------
         TypeError, ValueError
-            If it is neither, or has other columns than the first row.
+            If it is neither, holds something else, or has other columns than the first row.
+        OSError
+            If it cannot be written: the file is whole up to the row before.
         """
+        self._write("row", row)
+
+    def _write(self, called: str, row: Any) -> None:
         named = row._asdict() if hasattr(row, "_asdict") else row
-        if not isinstance(named, Mapping) or not named:
-            raise TypeError(f"rows must be NamedTuples or mappings, got {shown(row)}")
-        cells = dict(_cells(named))
+        cells = dict(_cells(called, mapping(called, named, "numbers")))
+        if not cells:
+            raise ValueError(f"{called} must have at least one column, got {shown(row)}")
         if self._columns is not None and self._columns != list(cells):
             raise ValueError(
                 f"rows must all have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
@@ -240,9 +247,24 @@ class TableWriter:
         if self._columns is None:
             lines.writerow(cells)
         lines.writerow(cells.values())
-        with self.path.open("w" if self._columns is None else "a", encoding="utf8") as file:
-            file.write(text.getvalue())
+        if self._columns is None:
+            write_whole(self.path, text.getvalue().encode())
+        else:
+            _append(self.path, text.getvalue().encode())
         self._columns = list(cells)
+
+
+def _append(path: Path, data: bytes) -> None:
+    """Add to a file, all or nothing."""
+    size = path.stat().st_size
+    try:
+        with path.open("ab", buffering=0) as file:
+            if file.write(data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as error:
+        os.truncate(path, size)
+        reason = f"{error.strerror}; it is whole up to the row before: make room, and write again"
+        raise OSError(error.errno, reason, str(path)) from error
 
 
 def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
@@ -274,8 +296,8 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
     """
     writer = TableWriter(path)
     empty = True
-    for row in iterable("rows", rows, "NamedTuples or mappings"):
-        writer.write(row)
+    for i, row in enumerate(iterable("rows", rows, "NamedTuples or mappings")):
+        writer._write(f"rows[{i}]", row)
         empty = False
     if empty:
         raise ValueError("rows must hold at least one row, got none")
@@ -350,12 +372,17 @@ def _data_array(name: str, values: NDArray[Any]) -> str:
     )
 
 
-def _cells(row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
-    """Columns and their entries: numbers of Python, which csv writes with all digits."""
+def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Columns and their entries: numbers of Python, which csv writes with all digits, and text."""
     for name, value in row.items():
         if isinstance(value, Mapping):
-            yield from _cells({f"{name}_{key}": entry for key, entry in value.items()})
-        elif np.ndim(value):
-            yield from _cells({f"{name}_{i}": entry for i, entry in enumerate(value)})
+            yield from _cells(called, {f"{name}_{key}": entry for key, entry in value.items()})
+        elif isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
+            yield from _cells(called, {f"{name}_{i}": entry for i, entry in enumerate(value)})
         else:
-            yield name, value.item() if isinstance(value, np.generic | np.ndarray) else value
+            entry = value.item() if isinstance(value, np.generic | np.ndarray) else value
+            if not isinstance(entry, Real | str | None):
+                raise TypeError(
+                    f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
+                )
+            yield name, entry

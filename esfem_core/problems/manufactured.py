@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, number, shown
+from esfem_core.checks import Array, flag, number, shown
 from esfem_core.elements import Surface
 from esfem_core.laws import Prescribed, Regularised, Species
 from esfem_core.problems.problem import Exact, Problem
@@ -250,7 +250,7 @@ def manufactured(
     level = Expressions("d", d, POSITIONS, 1)
     path = Motion(motion)
     D = number("diffusivity", diffusivity, least=0)
-    until = number("until", until, above=0)
+    until, prescribed = number("until", until, above=0), flag("prescribed", prescribed)
     _check(level, path, until)
     exact_u = None if u is None else Expressions("u", u, POSITIONS, 1)
 
@@ -384,9 +384,16 @@ def _expression(name: str, given: Any, known: dict[str, Any]) -> Any:
     symbols = sorted(expression.free_symbols, key=str)
     strange = [str(s) for s in symbols if str(s) not in known]
     strange += [str(f) for f in expression.atoms(sympy.core.function.AppliedUndef)]
+    strange += [str(c) for c in expression.atoms(*_no_reals(sympy))]
     if strange:
         raise ValueError(f"{name} must be an expression in {allowed}, but has {', '.join(strange)}")
     return expression.xreplace({s: known[str(s)] for s in symbols})
+
+
+def _no_reals(sympy: Any) -> list[Any]:
+    """Kinds of constants that no real function has."""
+    of = sympy.core.numbers
+    return [of.NaN, of.ImaginaryUnit, of.Infinity, of.NegativeInfinity, of.ComplexInfinity]
 
 
 def _sympy() -> Any:

@@ -8,7 +8,7 @@ from esfem_core.solvers.factors import DirectSolver, Factor, Solver, cholmod, su
 from esfem_core.solvers.fronts import Fronts
 from esfem_core.solvers.lagged import LaggedSolver
 from esfem_core.solvers.multifrontal import BlockFactor, factorise
-from esfem_core.solvers.systems import check_residual
+from esfem_core.solvers.systems import check_residual, right_hand_side
 
 __all__ = [
     "BlockFactor",
@@ -22,5 +22,6 @@ __all__ = [
     "cholmod",
     "dissect",
     "factorise",
+    "right_hand_side",
     "superlu",
 ]

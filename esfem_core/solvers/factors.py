@@ -79,7 +79,7 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
     ValueError
         If `A` is not square, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
-        If the matrix is singular.
+        If a pivot is zero: the matrix is singular, or as good as that in rounded numbers.
 
     Examples
     --------
@@ -102,7 +102,10 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
             options={"SymmetricMode": True},
         )
     except RuntimeError as error:
-        raise np.linalg.LinAlgError(f"the matrix of a linear system is singular: {error}") from None
+        raise np.linalg.LinAlgError(
+            "the matrix of a linear system must be positive definite, but has a pivot that is zero "
+            f"or lost in rounding: {error}"
+        ) from None
     n_bytes = lu.nnz * 12  # about: a float and a row number for each entry of L and of U
     stored = f", entries per unknown={lu.nnz / A.shape[0]:.1f}, memory={n_bytes / 1e6:.1f} MB"
     return _Reordered("SuperLU", new_order, lambda b: np.asarray(lu.solve(b)), stored)
@@ -143,7 +146,8 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
         solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
     except (RuntimeError, ValueError) as error:
         raise np.linalg.LinAlgError(
-            f"the matrix of a linear system must be positive definite, but is not: {error}"
+            "the matrix of a linear system must be positive definite, but for CHOLMOD it is not, "
+            f"which with very flat elements may be rounding: {error}"
         ) from error
 
     def solve(b: Array) -> Array:

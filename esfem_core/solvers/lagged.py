@@ -102,7 +102,8 @@ class LaggedSolver:
         ValueError
             If `A` is not square, or `b` or `guess` does not fit it.
         numpy.linalg.LinAlgError
-            If the residual asked for is not reached with a factorisation of `A` itself.
+            If `A` is not finite, or the residual asked for is not reached with a factorisation of
+            `A` itself, at last with that by SuperLU.
         FloatingPointError
             If the norm of a right-hand side is not finite.
         """
@@ -120,16 +121,22 @@ class LaggedSolver:
         converged = False
         if self._factor is not None and not self._ageing.due:
             x, converged = self._iterate(self._factor, A, rows, x, allowed)
-        if not converged:
-            self._factor = self._factorise(A)
+        # Of elements as flat as needles, a factor in single precision may have no right digit.
+        for factorise in (self._factorise, superlu):
+            if converged:
+                break
+            if not np.isfinite(A.data).all():
+                raise np.linalg.LinAlgError("A must be finite, but has entries that are not")
+            self._factor = factorise(A)
             self._ageing = Ageing(self.price)
             self.factorisations += 1
             x[~np.isfinite(x)] = 0.0
             x, converged = self._iterate(self._factor, A, rows, x, allowed)
         if not converged:
             raise np.linalg.LinAlgError(
-                f"no solution to a relative residual of {self.rtol:g} in {self.price} "
-                "iterations: the matrix is singular, indefinite or not finite"
+                f"no solution to a relative residual of {self.rtol:g} in price = {self.price} "
+                "iterations with a new factorisation, the last one by SuperLU: A must be symmetric "
+                "and positive definite, but is not, or is so in more digits than there are"
             )
         return np.ascontiguousarray(x.T).reshape(b.shape)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, shown
+from esfem_core.checks import Array, object_of, shown
 from esfem_core.solvers.fronts import Batch, Fronts
 from esfem_core.solvers.systems import right_hand_side, square
 
@@ -70,7 +70,7 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
     >>> bool(np.allclose((M + A) @ factor.solve(b), b, rtol=0, atol=1e-14))
     True
     """
-    n = len(fronts.slot)
+    n = len(object_of("fronts", fronts, Fronts).slot)
     if square(A) != n or len(A.data) != fronts.n_entries:
         raise ValueError(
             f"A must have the pattern that the fronts were made for, shape {(n, n)} with "
@@ -104,7 +104,8 @@ def _factorise(A: csr_array, fronts: Fronts, dtype: np.dtype) -> "BlockFactor":
     scale = float(abs(A.data).max())
     if not 0 < scale < np.inf:
         raise np.linalg.LinAlgError(
-            f"the matrix of a linear system is singular or not finite: its largest entry is {scale}"
+            "the matrix of a linear system must be positive definite and finite, but its largest "
+            f"entry is {scale}"
         )
     blocks = []
     # Where a depth hands S on: the memory of the next smaller one. The whole hands on nothing.

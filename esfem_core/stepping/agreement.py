@@ -129,7 +129,7 @@ def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
     w = law.slip(at)
     if w is None:
         return
-    w = finite_array("w(at)", w, at.x.shape)
+    w = finite_array("the slip w(at)", w, at.x.shape)
     normal = nodal_average(at, at.normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     share = float(np.linalg.norm((w * normal).sum(axis=1)) / (np.linalg.norm(w) or 1.0))

@@ -25,7 +25,7 @@ from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.scheme import Mass
-from esfem_core.stepping.state import Method, State, check_state, same_space
+from esfem_core.stepping.state import EvolutionError, Method, State, check_state, same_space
 from esfem_core.stepping.times import later
 
 __all__ = ["load", "respaced", "save", "saving", "space_of"]
@@ -34,6 +34,7 @@ KIND, VERSION = "esfem_core states", 1
 MOST = 6  # states that are made for another step, unless an order asks for more
 SAME_TIME = 1e-9  # relative to the step
 OWN_MASS = 1e-10  # how well, relatively, a product is M(x) w for the positions x of its own state
+ENDED = "the run has ended: esfem_core.save(path, states) saves what was yielded, elsewhere"
 
 
 def save(path: str | os.PathLike[str], states: Iterable[State] | State) -> None:
@@ -137,7 +138,7 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
     last: deque[State] = deque(maxlen=order + 1)
     saved: State | None = None
 
-    def keep() -> None:
+    def keep(then: str = f"the run goes on and tries again after {every} steps") -> None:
         nonlocal saved
         if len(last) < order or saved is last[-1]:
             return
@@ -147,7 +148,7 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
             held = "no state of this run" if saved is None else f"the states up to t = {saved.t:g}"
             warnings.warn(
                 f"the states up to t = {last[-1].t:g} could not be saved ({error}). It holds "
-                f"{held}; the run goes on and tries again after {every} steps",
+                f"{held}; {then}",
                 EvolutionWarning,
                 stacklevel=3,
             )
@@ -161,8 +162,17 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
             if n % every == 0:
                 keep()
             yield state
-    finally:  # also if it fails, is interrupted, or is left with break
-        keep()
+    except EvolutionError as error:
+        keep(ENDED)
+        if saved is not None:
+            error.add_note(
+                f"{str(path)!r} holds the good states up to t = {saved.t:g}: space, states = "
+                f"esfem_core.load({str(path)!r}), then evolve(..., start=states) goes on from them"
+            )
+        last.clear()  # do not try again
+        raise
+    finally:  # also if it is interrupted, or is left with break
+        keep(ENDED)
 
 
 def respaced(states: Sequence[State], step: float, order: int | None = None) -> list[State]:

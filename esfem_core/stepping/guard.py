@@ -14,6 +14,7 @@ from esfem_core.surfaces import FLATTEST
 __all__ = ["EvolutionWarning", "Guard"]
 
 NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
+NARROW_TURN = 0.5  # cosine: a narrow triangle turns by 60 degrees within a step at most
 SHAPE = 2 * np.sqrt(3)  # makes the shape of an equilateral triangle 1
 GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
 
@@ -65,7 +66,7 @@ class Guard:
         bound = (self._narrow / SHAPE) * sides
         bound *= bound
         if not (_dot(normal, normal) > bound).all():
-            self._look_closer(x, _shapes(normal, sides))
+            self._look_closer(x, normal, _shapes(normal, sides))
         turn = _dot(normal, self._normal)
         if not turn.min() > 0:
             element = int(np.argmin(turn))
@@ -86,13 +87,25 @@ class Guard:
             )
         self._normal = normal
 
-    def _look_closer(self, x: Array, shape: Array) -> None:
-        """Refuse a degenerate triangle, warn of a narrow one."""
+    def _look_closer(self, x: Array, normal: Array, shape: Array) -> None:
+        """Refuse a degenerate triangle or a narrow one that turns, warn of another narrow one."""
         lowest = int(np.argmin(shape))
         place = f"element {lowest} near {self._place(x, lowest)}"
         if not shape[lowest] > FLATTEST:
             what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
             raise DegenerateElementError(f"{place} {what}", lowest)
+        # A neck closes within a step, and its triangles come out on the other side of its axis;
+        # since they are not opposite each other, some turn by a little less than a right angle.
+        before = self._normal
+        sizes = np.sqrt(_dot(normal, normal) * _dot(before, before))
+        turned = (_dot(normal, before) < NARROW_TURN * sizes) & (shape < self._narrow)
+        if turned.any():
+            element = int(np.argmax(turned))
+            raise DegenerateElementError(
+                f"element {element} near {self._place(x, element)}, with an angle below one "
+                "degree, has turned over: its normal changed by more than 60 degrees within a step",
+                element,
+            )
         self._warn_once(
             "angles",
             f"{place} has an angle below one degree: the run will hardly survive; other "

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, finite_array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
-from esfem_core.laws import Part, Species
+from esfem_core.laws import Part, Species, same_species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolated
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
@@ -166,7 +166,7 @@ class Scheme:
 
         own = self.problem.law_species
         if hasattr(law, "equations"):
-            own = law.equations(tau, past)
+            own = same_species(own, law.equations(tau, past))
         levels = _Levels(history, step, at, w, extra)
         functions, products = self._diffuse(own, levels, at.M, at.x)
         for array in functions.values():

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from esfem_core.checks import Array, number, object_of
+from esfem_core.checks import Array, finite_array, mapping, number, object_of
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import Guard
@@ -65,8 +65,7 @@ def initial_state(space: SurfaceSpace, problem: Problem) -> State:
     """The initial values on the initial surface."""
     values = problem.initial_values(space.nodes)
     if len(values) < len(problem.all_species):
-        law = problem.law
-        values |= law.initial(Surface(space, space.nodes)) if hasattr(law, "initial") else {}
+        values |= _made_by(problem.law, space)
     for name in problem.all_species:
         if name not in values:
             raise ValueError(
@@ -75,6 +74,19 @@ def initial_state(space: SurfaceSpace, problem: Problem) -> State:
             )
     fields = {name: values[name] for name in problem.all_species}
     return State(0.0, space.nodes, None, space=space, fields=fields)
+
+
+def _made_by(law: object, space: SurfaceSpace) -> Values:
+    """Initial values of its functions that a law makes."""
+    if not hasattr(law, "initial"):
+        return {}
+    made = mapping("what law.initial returns", law.initial(Surface(space, space.nodes)), "values")
+    values = {}
+    for key, given in made.items():
+        called, n = f"the initial {key!r} of law", len(space.nodes)
+        w = finite_array(called, given, (n, "..."))
+        values[key] = w if w.ndim == 1 else finite_array(called, w, (n, "m"))
+    return values
 
 
 def euler_states(

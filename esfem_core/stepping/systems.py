@@ -4,10 +4,10 @@ from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, real_array, shown
-from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, check_residual
+from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, check_residual, right_hand_side
 from esfem_core.stepping.bdf import extrapolated
 
 __all__ = ["Statistics", "Systems"]
@@ -94,6 +94,7 @@ class Systems:
 
     def solve_again(self, kind: str, K: csr_array, b: Array) -> Array:
         """Solve K w = b from what the last solutions of this kind let one expect."""
+        b = right_hand_side(self._pattern.shape[0], b)
         last = self._solutions.get(kind, ())
         same = [w for w in last if w.shape == b.shape]
         w = self.solve(kind, K, b, extrapolated(same) if same else np.zeros_like(b))
@@ -102,6 +103,11 @@ class Systems:
 
     def _conforming(self, K: csr_array) -> csr_array:
         """The matrix with all entries of the pattern, also where they are zero."""
+        if not issparse(K) or np.asarray(K.data).dtype.kind not in "fiu":
+            raise TypeError(
+                "the matrix of a law must be a sparse one of real numbers, such as "
+                f"at.matrix(mass=1.0, stiffness=2.0), got {type(K).__name__} {shown(K)}"
+            )
         if _same_places(K, self._pattern):
             return K
         full = self._pattern.copy()

@@ -177,14 +177,14 @@ def curved_elements(source: Any) -> Elements:
     if not blocks or others:
         kinds = ", ".join(others or sorted({kind for kind, _ in found.cells})) or "points"
         raise ValueError(
-            f"{found.name} holds {kinds}; curved elements must be triangles: have its surface "
-            "meshed with triangles, or take flat ones by ec.read_mesh"
+            f"source must have triangles for curved elements, but {found.name} holds {kinds}: have "
+            "its surface meshed with triangles, or take flat ones by ec.read_mesh"
         )
     numbers = sorted({cells.shape[1] for cells in blocks})
     if len(numbers) > 1:
         raise ValueError(
-            f"{found.name} holds elements with {' and '.join(map(str, numbers))} nodes: a space "
-            "has one degree; write the mesh with elements of one order"
+            f"source must have elements of one degree, but {found.name} holds elements with "
+            f"{' and '.join(map(str, numbers))} nodes: write the mesh with elements of one order"
         )
     nodes, cells = without_unused(found.points, np.vstack(blocks), found.notes)
     if (sides_of(cells[:, :3]).times == 1).any():

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, number, whole_number
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    function,
+    iterable,
+    number,
+    object_of,
+    shown,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.solvers import superlu
@@ -14,6 +23,8 @@ from esfem_core.stepping import State, evolve, exact_state
 from esfem_core.theory.defects import Defects, defects, dual_norm
 
 __all__ = ["ErrorTerms", "error_terms", "proposition_1", "response"]
+
+MOST_ORDER = 6  # what evolve runs without further ado
 
 
 def response(
@@ -72,15 +83,17 @@ def response(
     >>> bool(np.allclose(e_x, (e_v - space.nodes) / 16 / 1.5))
     True
     """
-    order, step = whole_number("order", order, 1), number("step", step, above=0)
+    order, step = whole_number("order", order, 1, MOST_ORDER), number("step", step, above=0)
+    function("chosen", chosen, "of the number of a step")
+    if start is not None:
+        start = _checked_start(order, start)
     states = [exact_state(space, problem, n * step) for n in range(order)]
     if start is not None:
-        if len(start) != order:
-            raise ValueError(f"start must hold p = {order} pairs (e_x, e_u), got {len(start)}")
         states = [_perturbed(s, *e, n) for n, (s, e) in enumerate(zip(states, start, strict=True))]
 
     def perturbation(n: int) -> tuple[Array, Array, Array]:
-        own, wanted = defects(space, problem, order, step, n), chosen(n)
+        own = defects(space, problem, order, step, n)
+        wanted = object_of(f"chosen({n})", chosen(n), Defects)
         rest = [
             a - finite_array(f"chosen({n}).{name}", getattr(wanted, name), a.shape)
             for name, a in own._asdict().items()
@@ -99,6 +112,17 @@ def response(
         perturbation=perturbation,
     )
     return ((state, exact_state(space, problem, state.t)) for state in run)
+
+
+def _checked_start(order: int, start: object) -> Sequence[tuple[Array, Array]]:
+    """Refuse what is no sequence of pairs."""
+    pairs = list(iterable("start", start, f"p = {order} pairs (e_x, e_u)"))
+    if len(pairs) != order:
+        raise ValueError(f"start must hold p = {order} pairs (e_x, e_u), got {len(pairs)}")
+    for n, pair in enumerate(pairs):
+        if not isinstance(pair, tuple | list) or len(pair) != 2:
+            raise TypeError(f"start[{n}] must be a pair (e_x, e_u), got {shown(pair)}")
+    return pairs
 
 
 def _perturbed(exact: State, e_x: Array, e_u: Array, n: int) -> State:

@@ -12,6 +12,7 @@ import trimesh
 import esfem_core as ec
 from esfem_core.elements import node_indices, tabulate, triangle_rule
 from esfem_core.elements.integrals import ElementTables
+from esfem_core.surfaces import FLATTEST
 
 XI, ETA = sympy.symbols("xi eta")
 
@@ -226,3 +227,21 @@ def test_tiny_and_huge_surfaces_are_no_degenerate_ones(space, size):
 def test_overflow_is_reported(space):
     with pytest.raises(ec.DegenerateElementError, match="element 0"):
         space.mass_stiffness(1e200 * space.nodes)
+
+
+@pytest.mark.parametrize(("share", "good"), [(1.1, True), (0.9, False)])
+def test_the_limit_of_flatness_is_that_for_triangulations(share, good):
+    """A corner near a side: 4 sqrt(3) area is FLATTEST times the sum of squared sides there."""
+    tri = ec.sphere("octahedron", 1)
+    space = ec.SurfaceSpace(tri)
+    x = space.nodes.copy()
+    a, b, c = space.cells[0]
+    side = x[c] - x[b]
+    height = share * FLATTEST * 1.5 / (2 * np.sqrt(3)) * np.linalg.norm(side)
+    across = np.cross(side, tri.face_normals[0])
+    x[a] = (x[b] + x[c]) / 2 + height * across / np.linalg.norm(across)
+    if good:
+        assert np.isfinite(space.mass_stiffness(x)[1].data).all()
+        return
+    with pytest.raises(ec.DegenerateElementError, match=r"element 0 near .* is degenerate"):
+        space.mass_stiffness(x)

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 import pytest
+from full_disk import room
 
 import esfem_core as ec
 from esfem_core.output.curved import nodal_normals
@@ -210,11 +211,46 @@ def test_a_table_is_complete_after_each_row_and_refuses_other_columns(tmp_path):
     assert path.read_text() == "t\n0.5\n"
     for row, error, message in [
         ({"s": 1.0}, ValueError, "rows must all have the columns t; got s"),
-        ([1.0], TypeError, "rows must be NamedTuples or mappings"),
-        ({}, TypeError, "rows must be NamedTuples or mappings"),
+        ([1.0], TypeError, "row must be a mapping from names to numbers, got"),
+        ({}, ValueError, "row must have at least one column, got {}"),
     ]:
         with pytest.raises(error, match=message):
             table.write(row)
     assert path.read_text() == "t\n0.5\n"
     with pytest.raises(ValueError, match="at least one row"):
         ec.save_table(path, [])
+
+
+def test_a_full_disk_leaves_a_table_whole_that_goes_on_when_there_is_room(tmp_path):
+    path = tmp_path / "run.csv"
+    table = ec.TableWriter(path)
+    table.write({"t": 0.1, "a": 0.25})
+    message = "it is whole up to the row before: make room, and write again"
+    with room(14), pytest.raises(OSError, match=message):
+        table.write({"t": 0.2, "a": 0.5})
+    assert path.read_text() == "t,a\n0.1,0.25\n"
+    table.write({"t": 0.2, "a": 0.5})
+    assert path.read_text() == "t,a\n0.1,0.25\n0.2,0.5\n"
+    with room(3), pytest.raises(OSError, match="the file is as it was: make room"):
+        ec.TableWriter(path).write({"t": 0.3})
+    assert path.read_text() == "t,a\n0.1,0.25\n0.2,0.5\n"
+
+
+def test_a_full_disk_leaves_a_series_complete_up_to_the_state_before(tmp_path):
+    first, second = states(1)
+    series = ec.SeriesWriter(tmp_path / "run.pvd")
+    series.write(first)
+    before = (tmp_path / "run.pvd").read_text()
+    with room(100), pytest.raises(OSError, match="the file is as it was: make room"):
+        series.write(second)
+    assert (tmp_path / "run.pvd").read_text() == before
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["run.pvd", "run_00000.vtu"]
+    series.write(second)
+    assert (tmp_path / "run.pvd").read_text().count("DataSet") == 2
+
+
+@pytest.mark.parametrize("bad", [1j, np.array([b"a"]), object()])
+def test_a_row_of_what_is_no_number_is_refused_by_column(tmp_path, bad):
+    with pytest.raises(TypeError, match="row must hold real numbers, text or None, but 'b"):
+        ec.TableWriter(tmp_path / "run.csv").write({"a": 1.0, "b": bad})
+    assert not list(tmp_path.iterdir())

@@ -127,12 +127,35 @@ def test_a_right_hand_side_whose_norm_overflows_is_refused():
         LaggedSolver().solve(system(1), b, np.zeros_like(b))
 
 
-@pytest.mark.parametrize("bad", [0.0, np.nan, -1.0])
-def test_unsolvable_systems_are_reported(bad):
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (0.0, "a pivot that is zero"),
+        (np.nan, "A must be finite, but has entries that are not"),
+        (-1.0, "must be symmetric and positive definite, but is not, or is so in more digits"),
+    ],
+)
+def test_unsolvable_systems_are_reported(bad, message):
     A = system(1)
     A.data *= bad
-    with pytest.raises(np.linalg.LinAlgError, match="singular"):
+    with pytest.raises(np.linalg.LinAlgError, match=message):
         LaggedSolver().solve(A, np.ones(A.shape[0]), np.zeros(A.shape[0]))
+
+
+def test_where_its_own_factor_is_of_no_use_it_takes_that_of_superlu():
+    """As with needles, whose mass matrices have no right digit in single precision."""
+
+    class Useless:
+        def solve(self, b):
+            return np.zeros(b.shape)
+
+    A, b = system(1), np.random.default_rng(0).random(len(SPACE.nodes))
+    solver = LaggedSolver(factorise=lambda A: Useless())
+    assert relative_residual(A, solver.solve(A, b, 0 * b), b) < 1e-11
+    assert (solver.factorisations, "SuperLU" in repr(solver)) == (2, True)
+    x = solver.solve(1.01 * A, b, b)  # it is kept
+    assert relative_residual(1.01 * A, x, b) < 1e-11
+    assert solver.factorisations == 2
 
 
 @pytest.mark.parametrize(

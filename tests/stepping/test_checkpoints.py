@@ -2,18 +2,17 @@
 
 import json
 import os
-import resource
 import runpy
 import signal
 import subprocess
 import sys
 import zipfile
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import room
 
 import esfem_core as ec
 
@@ -154,22 +153,14 @@ def test_a_run_that_fails_leaves_its_last_good_states(tmp_path):
     problem = ec.Problem(
         1.0, f=lambda at: at.u * (np.nan if at.t > 0.72 else 1.0), motion=lambda p, t: p
     )
-    with pytest.raises(ec.EvolutionError, match="nan"):
+    with pytest.raises(ec.EvolutionError, match="nan") as failed:
         list(ec.evolve(SPACE, problem, 2, 0.1, 2.0, save=path))
+    [note] = failed.value.__notes__
+    assert note == (
+        f"'{path}' holds the good states up to t = 0.7: space, states = esfem_core.load('{path}'), "
+        "then evolve(..., start=states) goes on from them"
+    )
     assert [state.t for state in ec.load(path)[1]] == [0.5, 0.6, 0.7]
-
-
-@contextmanager
-def room(limit):
-    """A disk with room for a file of so many bytes, as far as this process is concerned."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-    try:
-        yield
-    finally:  # before pytest itself writes again
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_a_full_disk_leaves_the_older_file_whole(tmp_path):
@@ -194,8 +185,15 @@ def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path):
     assert ec.load(path)[1][-1].t == 0.1
     with room(1000), pytest.warns(ec.EvolutionWarning, match=second):
         list(islice(run, 2))
-    assert [state.t for state in run] == [0.6, 0.7, 0.8]
-    assert ec.load(path)[1][-1].t == 0.8
+    states = list(islice(run, 2))
+    assert ec.load(path)[1][-1].t == 0.7
+    with (
+        room(1000),
+        pytest.warns(ec.EvolutionWarning, match=r"the run has ended: esfem_core\.save"),
+    ):
+        states += run
+    assert [state.t for state in states] == [0.6, 0.7, 0.8]
+    assert ec.load(path)[1][-1].t == 0.7
 
 
 def saved(tmp_path):

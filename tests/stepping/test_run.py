@@ -459,3 +459,11 @@ def test_alpha_zero_is_warned_of_at_the_call_and_inside_other_laws(wrapped):
     with pytest.warns(ec.EvolutionWarning, match="unstable for p = 4.*take p <= 3 or alpha > 0"):
         ec.evolve(linear, problem, 4, 0.01, 0.1)
     ec.evolve(linear, problem, 3, 0.01, 0.1)
+
+
+def test_a_slip_with_a_normal_part_is_warned_of_once():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    law = ec.laws.with_slip(ec.laws.Regularised(), lambda at: 0.1 * at.x)
+    with pytest.warns(ec.EvolutionWarning, match="the slip w must be tangential") as warned:
+        list(ec.evolve(space, ec.Problem(law=law), 1, 0.01, 0.03))
+    assert len(warned) == 1

@@ -104,3 +104,10 @@ def test_numbers_of_steps(start, step, end, expected):
 def test_numbers_of_steps_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         count_steps(*arguments)
+
+
+def test_an_end_that_is_later_than_rounding_is_reached_by_no_step():
+    """However long the step."""
+    assert count_steps(1.0, 1e6, 1 + 0.5e-12) == 0
+    with pytest.raises(ValueError, match="end/step must be an integer"):
+        count_steps(1.0, 1e6, 1 + 1.5e-12)

@@ -175,3 +175,14 @@ def test_forms_without_a_relative_norm_are_refused():
         forms.relative_norm(one_sided, M)
     with pytest.raises(ValueError, match="form must vanish on constants"):
         forms.relative_norm(M, A, seminorm=True)
+
+
+@pytest.mark.parametrize(
+    ("form", "more"),
+    [("mass", 0), ("stiffness", 0), ("divergence", 1), ("deformation", 1), ("mass_rate", 1),
+     ("gradient_load", 1)],
+)  # fmt: skip
+def test_forms_need_a_space(form, more):
+    x = np.eye(3)
+    with pytest.raises(TypeError, match="space must be a SurfaceSpace, got 3"):
+        getattr(ec.forms, form)(3, x, *[x] * more)

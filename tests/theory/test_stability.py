@@ -5,7 +5,7 @@ import pytest
 
 import esfem_core as ec
 from esfem_core.theory.defects import Defects
-from esfem_core.theory.stability import error_terms, proposition_1, response
+from esfem_core.theory.stability import ErrorTerms, error_terms, proposition_1, response
 
 SPACE = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
 PROBLEM = ec.problems.expanding_sphere()
@@ -102,3 +102,21 @@ def test_an_estimate_needs_something_on_the_right():
     terms = error_terms(SPACE, pairs, 2, 1 / 20, nothing)
     with pytest.raises(ValueError, match="must have a defect or a starting error in some step"):
         proposition_1(terms)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3])
+@pytest.mark.parametrize("corrected", [False, True])
+def test_both_sides_of_the_estimate_are_sums_as_written(p, corrected):
+    names = ("x", "v", "u_mass", "u_stiffness", "d_x", "d_v", "d_u")
+    square, tau, ratios = dict(zip(names, RNG.random((7, 9)), strict=True)), 0.1, []
+    square["d_x"] *= 0.01  # so that the largest ratio is not that of the first step
+    for n in range(p, 9):
+        left = square["x"][n] + square["v"][n]
+        left += sum(square["u_mass"][n - j] for j in range(p))
+        left += tau * sum(square["u_stiffness"][j] for j in range(p if corrected else 1, n + 1))
+        right = sum(square[f"d_{name}"][j] for j in range(n + 1) for name in "xvu") * tau
+        right += sum(square["x"][j] + square["u_mass"][j] for j in range(p))
+        right += square["d_v"][n] if corrected else 0
+        ratios.append(left / right)
+    terms = ErrorTerms(p, tau, (), (), (), (), {}, square)
+    assert proposition_1(terms, corrected) == pytest.approx(max(ratios), rel=1e-13)
