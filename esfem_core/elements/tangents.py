@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, number
+from esfem_core.checks import Array, Ints, number
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.recovery import nodal_average
 from esfem_core.elements.surface import Surface
@@ -17,7 +17,8 @@ class TangentPlanes:
     """Signed distances from Γ_h[x], and normals, of points near it.
 
     A point looks up the nearest of many points of the surface, and takes the plane through this
-    that is normal to a continuous normal field, the nodal average of that of the elements. The
+    that is normal to a continuous normal field, by default the nodal average of that of the
+    elements. The
     distance of a point of the surface comes out as O(spacing^2); :func:`closest_points` is exact,
     and a hundred times slower.
 
@@ -26,6 +27,8 @@ class TangentPlanes:
     at : Surface
     spacing : float or (T,) float array
         Between the points that are looked up, on each element.
+    normal : (N, 3) float array, optional
+        Normals at the nodes, of any length.
 
     Attributes
     ----------
@@ -48,11 +51,12 @@ class TangentPlanes:
     array([[0.3, 0.7, 0.7]])
     """
 
-    def __init__(self, at: Surface, spacing: float | Array) -> None:
+    def __init__(self, at: Surface, spacing: float | Array, normal: Array | None = None) -> None:
         if np.ndim(spacing) == 0:
             spacing = number("spacing", spacing, above=0)
         space = at.space
-        normal = nodal_average(at, at.normal)
+        if normal is None:
+            normal = nodal_average(at, at.normal)
         self.nodal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         corners = at.x[space.cells[:, :3]]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -69,30 +73,45 @@ class TangentPlanes:
         many = np.concatenate(normals)
         self._normals = many / np.linalg.norm(many, axis=1, keepdims=True)
         self._tree = cKDTree(self._points)
+        self._last = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
     def distance(self, x: Array) -> Array:
         """Signed distances of points (n, 3), positive outside, (n,)."""
-        i = self._tree.query(x)[1]
+        i = self._nearest(x)
         found: Array = np.einsum("ij,ij->i", x - self._points[i], self._normals[i])
         return found
 
     def normal(self, x: Array) -> Array:
         """Unit normals near points (n, 3), (n, 3)."""
-        return np.asarray(self._normals[self._tree.query(x)[1]])
+        return np.asarray(self._normals[self._nearest(x)])
 
     def values(self, nodal: Array, x: Array) -> Array:
         """Values near points (n, 3) of a function given at the nodes, (N,): (n,)."""
         many = np.concatenate(
             [(values @ nodal[cells].T).T.ravel() for values, cells in self._where]
         )
-        return np.asarray(many[self._tree.query(x)[1]])
+        return np.asarray(many[self._nearest(x)])
 
     def near(self, x: Array) -> Array:
         """Points (n, 3) moved to the planes, (n, 3)."""
         moved: Array = x
         for _ in range(2):  # the second plane is that of a nearer point
-            moved = moved - self.distance(moved)[:, None] * self.normal(moved)
+            i = self._nearest(moved)
+            n = self._normals[i]
+            moved = moved - np.einsum("ij,ij->i", moved - self._points[i], n)[:, None] * n
         return moved
+
+    def _nearest(self, x: Array) -> Ints:
+        """Numbers of the points that are looked up, (n,); anew where x differs from the last."""
+        last, found = self._last
+        if len(last) != len(x):
+            last, found = np.full_like(x, np.nan), np.empty(len(x), dtype=np.int64)
+        moved = np.flatnonzero((x != last).any(axis=1))
+        if len(moved):
+            found = found.copy()
+            found[moved] = self._tree.query(x[moved])[1]
+            self._last = x.copy(), found
+        return found
 
 
 def _centres(parts: int) -> Array:

@@ -6,37 +6,27 @@ and what is smooth in time remains so: a run of order p goes on from p states as
 """
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, Ints, number, shown
-from esfem_core.elements import (
-    Surface,
-    SurfaceSpace,
-    TangentPlanes,
-    closest_points,
-    nodal_average,
-    tabulate,
-)
+from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.checkpoints import space_of
+from esfem_core.stepping.retriangulation import (
+    Transfer,
+    components,
+    corners_of,
+    faces_of,
+    triangulated,
+)
 from esfem_core.stepping.state import State
-from esfem_core.surfaces import Evened, Guide, MeshingError, edges_of, evened, resized
+from esfem_core.surfaces import edges_of, smooth
 
-__all__ = ["Transfer", "remeshed", "transferred", "triangulated"]
-
-FEWEST = 20  # triangles that a component must have room for, as many as an icosahedron has
-MOST = 10**6  # triangles
-SPACING = 0.25  # of the points that stand for the old surface, over h
-ROUNDS = 15
-FINEST, RADII, SLOPE = 1 / 8, 0.7, 0.4  # of lengths of edges, see _share
-LEAST_ANGLE = 15.0  # degrees: what is worse is no help
-MAX_TURN, SLACK, LAST_TURN = 60.0, 15.0, 120.0  # degrees between old and new normals
+__all__ = ["remeshed", "transferred"]
 
 
 @overload
@@ -53,8 +43,15 @@ def remeshed(
     The surface of the last state is triangulated anew, with edges of about the length h and, where
     the surface lets it, angles above 30 degrees: triangles are split and collapsed, edges flipped,
     vertices relaxed. All new nodes, of elements of the same degree k, are points of the old curved
-    surface. Positions, velocities and functions are interpolated there, with errors O(h^{k+1}); the
-    length of a vector field "normal" is interpolated apart from its direction.
+    surface; for k = 1, of the smooth one through its vertices, :func:`esfem_core.smooth`, so that a
+    surface does not shrink each time. Positions, velocities and functions are interpolated, with
+    errors O(h^{k+1}); the length of a vector field "normal" is interpolated apart from its
+    direction. Where the old triangles do not resolve the surface, curved elements that would fold
+    over become flat.
+
+    Smallest angles do not tell all. Where a surface shrinks towards a tip, its particles come close
+    to each other with good angles, and small errors grow to spikes: there the areas of the
+    elements, compared with those at the start, say when it is time.
 
     Each conserved function then gets the constant, on each component of the surface, that makes
     its amount, the sum of M(x) u, what it was. Among all corrections it has the least L2 norm.
@@ -84,7 +81,8 @@ def remeshed(
     Raises
     ------
     TypeError, ValueError
-        If the states do not fit together, know no space, or lack a function of the problem. If h is
+        If the states do not fit together, know no space, have a boundary, or lack a function of
+        the problem. If h is
         not positive, or so large that the surface could not have the topology it has: a component
         has no room for twenty triangles, or turns by more than 60 degrees within one. If the new
         triangles are not fit on the initial surface, where that counts.
@@ -111,35 +109,21 @@ def remeshed(
         raise TypeError(f"states must be a State or a sequence of them, got {shown(states)}")
     given: list[State] = [states] if isinstance(states, State) else list(states)
     space = space_of(given)
+    if len(space.boundary_nodes):
+        raise ValueError(
+            "states must be on a closed surface, but theirs has a boundary of "
+            f"{len(space.boundary_nodes)} nodes: new triangles would not keep that"
+        )
     if problem is not None and not isinstance(problem, Problem):
         raise TypeError(f"problem must be a Problem, got {shown(problem)}")
     conserved = _conserved(given, problem)
     x = given[-1].x
     if h is None:
-        edges = edges_of(_faces(space))
-        h = float(edges.lengths(x).mean())
+        h = float(edges_of(faces_of(space)).lengths(x[corners_of(space)]).mean())
     h = number("h", h, above=0)
-    transfer = triangulated(space, x, h)
+    transfer = triangulated(space, x, h, given[-1].fields.get("normal"))
     result = transferred(given, transfer, conserved, problem)
     return result[0] if single else result
-
-
-class Transfer(NamedTuple):
-    """New nodes as points of an old space.
-
-    Attributes
-    ----------
-    cells : (S, (k+1)(k+2)/2) int array
-        The new elements.
-    cell : (n,) int array
-        The old element that each new node lies in.
-    interpolation : (n, N) CSR array
-        Values there of functions given by their values at the old nodes.
-    """
-
-    cells: Ints
-    cell: Ints
-    interpolation: csr_array
 
 
 def transferred(
@@ -172,7 +156,7 @@ def transferred(
     old = space_of(states)
     P = transfer.interpolation
     from_start = problem is not None and _knows_paths(problem)
-    nodes = P @ (old.nodes if from_start else states[-1].x)
+    nodes = _placed(old, old.nodes if from_start else states[-1].x, P)
     try:
         space = SurfaceSpace.from_nodes(nodes, transfer.cells, old.rule.exactness)
     except ValueError as error:
@@ -196,11 +180,11 @@ def _on(
     """One state on the new space."""
     old, P = state.space, transfer.interpolation
     assert old is not None
-    x = P @ state.x
+    x = _placed(old, state.x, P)
     law: Any = None if problem is None else problem.law
     if hasattr(law, "position"):
         x = law.position(space.nodes, state.t, (state.t, x))
-    before = _components(old)
+    before = components(old)
     after = before[old.cells[transfer.cell, 0]]
     M = space.mass(x)
     fields, products = {}, {}
@@ -215,6 +199,18 @@ def _on(
             products[name] = _with_sums(M @ fields[name], kept, M, after)
     v = None if state.v is None else P @ state.v
     return State(state.t, x, v, space=space, fields=fields, products=products, method=state.method)
+
+
+def _placed(old: SurfaceSpace, x: Array, P: csr_array) -> Array:
+    """Positions of the new nodes for positions x of the old ones.
+
+    On flat triangles they would lie below the surface that these stand for, by O(h^2) and each
+    time anew. They go to the smooth surface through the vertices, which is O(h^4) from it.
+    """
+    y = np.asarray(P @ x)
+    if old.degree > 1:
+        return y
+    return smooth(trimesh.Trimesh(x, old.cells, process=False))(y)
 
 
 def _interpolated(name: str, w: Array, P: csr_array) -> Array:
@@ -251,12 +247,6 @@ def _sums(b: Array, component: Ints) -> Array:
     return total
 
 
-def _components(space: SurfaceSpace) -> Ints:
-    """Which component of the surface each node belongs to, (N,)."""
-    labels = connected_components(space.pattern, directed=False)[1]
-    return np.asarray(labels, dtype=np.int64)
-
-
 def _conserved(states: Sequence[State], problem: Problem | None) -> list[str]:
     """Names of the functions whose amounts are to be kept."""
     present = states[-1].fields
@@ -280,126 +270,3 @@ def _knows_paths(problem: Problem) -> bool:
     return problem.exact is not None or (
         hasattr(law, "position") and getattr(law, "motion", law) is not None
     )
-
-
-def triangulated(space: SurfaceSpace, x: Array, h: float) -> Transfer:
-    """Triangulate Γ_h[x] anew."""
-    at = Surface(space, x)
-    _check_room(at, h)
-    share = _share(at, h)
-    planes = TangentPlanes(at, SPACING * h * share[space.cells].min(axis=1))
-    guide = Guide(planes.distance, planes.normal, planes.near, partial(planes.values, share))
-    vertices, faces = x[_corners(space)], _faces(space)
-    turn = _allowed_turn(at, planes.nodal)
-    found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS, turn)
-    transfer = _transfer(space, x, planes.nodal, found, h, turn)
-    if found.quality.min_angle < LEAST_ANGLE:
-        raise MeshingError(
-            f"after {ROUNDS} rounds the smallest angle is {found.quality.min_angle:.1f} degrees "
-            f"(allowed: {LEAST_ANGLE:g}); a smaller h than {h:g} may help"
-        )
-    return transfer
-
-
-def _share(at: Surface, h: float) -> Array:
-    """Wanted lengths of edges over h at the nodes, (N,).
-
-    They are 1, or less where the surface bends: `RADII` radii of curvature, but at least `FINEST` h
-    and half the shortest edge of the old element, which says how well the surface is known. From
-    there they grow with a slope of at most `SLOPE`.
-    """
-    space = at.space
-    normal = nodal_average(at, at.normal)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    bending = np.linalg.norm(space.gradient(at.x, normal), axis=(2, 3)).max(axis=1)
-    lengths = np.full(len(at.x), h)
-    corners = at.x[space.cells[:, :3]]
-    own = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
-    least = np.clip(own / 2, FINEST * h, h)
-    wanted = np.clip(RADII / np.maximum(bending, 1e-300), least, h)
-    np.minimum.at(lengths, space.cells, wanted[:, None])
-
-    # Paths over edges between nodes, from a point that is as far away from each as its length.
-    i, j = space.pattern.nonzero()
-    n, away = len(lengths), SLOPE * np.linalg.norm(at.x[i] - at.x[j], axis=1)
-    graph = coo_array(
-        (np.r_[away, lengths], (np.r_[i, np.full(n, n)], np.r_[j, np.arange(n)])), (n + 1, n + 1)
-    )
-    graded = np.asarray(dijkstra(graph.tocsr(), indices=[n]))[0, :n]
-    return np.asarray(graded / h)
-
-
-def _allowed_turn(at: Surface, normal: Array) -> float:
-    """Cosine of 60 degrees, or of more where the surface turns by more within old elements."""
-    cells = at.space.cells[:, :3]
-    cosine = np.einsum("ti,tai->ta", _planes(at.x[cells]), normal[cells]).min()
-    found = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    return float(np.cos(np.radians(np.clip(found + SLACK, MAX_TURN, LAST_TURN))))
-
-
-def _planes(corners: Array) -> Array:
-    """Unit normals of triangles (T, 3, 3)."""
-    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
-
-
-def _transfer(
-    space: SurfaceSpace, x: Array, normal: Array, found: Evened, h: float, turn: float
-) -> Transfer:
-    """Give new triangles nodes on the old surface, and check that they follow it."""
-    vertices = closest_points(space, x, found.vertices).points
-    flat = SurfaceSpace(trimesh.Trimesh(vertices, found.faces, process=False), space.degree)
-    at = closest_points(space, x, flat.nodes)
-    values = tabulate(space.degree, at.local).values
-    rows = np.arange(0, values.size + 1, values.shape[1])
-    shape = len(flat.nodes), len(space.nodes)
-    P = csr_array((values.ravel(), space.cells[at.cell].ravel(), rows), shape)
-
-    corners = vertices[found.faces]
-    plane = _planes(corners)
-    n: Array = np.asarray(P @ normal)
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    cosine = np.einsum("ti,tai->ta", plane, n[flat.cells])
-    curved = Surface(flat, np.asarray(P @ x)).normal
-    cosine = np.hstack([cosine, np.einsum("ti,tqi->tq", plane, curved)]).min(axis=1)
-    worst = int(np.argmin(cosine))
-    component = _components(space)[space.cells[at.cell, 0]]
-    torn = (component[flat.cells] != component[flat.cells[:, :1]]).any(axis=1)
-    if torn.any() or not cosine[worst] > turn:
-        worst = int(np.argmax(torn)) if torn.any() else worst
-        place = corners[worst].mean(axis=0).round(3).tolist()
-        raise ValueError(
-            f"h = {h:g} is too large for this surface: a triangle near {place} does not follow it"
-        )
-    return Transfer(flat.cells, at.cell, P)
-
-
-def _check_room(at: Surface, h: float) -> None:
-    """Refuse a length that leaves a component too few triangles, or would make too many."""
-    component = _components(at.space)[at.space.cells[:, 0]]
-    areas = np.bincount(component, at.density @ at.space.rule.weights)
-    triangle = np.sqrt(3) / 4
-    limit = float(np.sqrt(areas.min() / (FEWEST * triangle)))
-    if h > limit:
-        which = "the surface" if len(areas) == 1 else "the smallest component"
-        raise ValueError(
-            f"h must be at most {limit:.3g}, so that {which}, of area {areas.min():.3g}, has room "
-            f"for {FEWEST} triangles, got {h:g}"
-        )
-    expected = float(areas.sum()) / (triangle * h**2)
-    if expected > MOST:
-        least = float(np.sqrt(areas.sum() / (MOST * triangle)))
-        raise ValueError(
-            f"h must be at least {least:.3g}, so that there are at most {MOST} triangles, got {h:g}"
-        )
-
-
-def _corners(space: SurfaceSpace) -> Ints:
-    """Numbers of the nodes that are corners of elements."""
-    return np.unique(space.cells[:, :3])
-
-
-def _faces(space: SurfaceSpace) -> Ints:
-    """Triangles between these, (T, 3)."""
-    faces = np.searchsorted(_corners(space), space.cells[:, :3])
-    return np.asarray(faces, dtype=np.int64)

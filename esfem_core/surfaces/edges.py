@@ -264,11 +264,11 @@ def collapse(
         y, renamed = _merged(x, faces, *e.ends[chosen].T)
         a, b, c = renamed.T
         kept = (a != b) & (b != c) & (c != a)
-        spoiled = faces[kept & _spoiled(x, faces, y, renamed, longest)]
         owner = np.full(len(x), -1)  # of a vertex that moves: its edge
         owner[e.ends[chosen]] = chosen[:, None]
+        touched = np.flatnonzero(kept & (owner[faces] >= 0).any(axis=1))
+        spoiled = faces[touched][_spoiled(x, faces[touched], y, renamed[touched], longest)]
         refused = np.unique(owner[spoiled].max(axis=1))  # one owner, as the chosen are far apart
-        refused = refused[refused >= 0]
         if len(refused) == 0:
             break
         todo = np.setdiff1d(todo, refused)

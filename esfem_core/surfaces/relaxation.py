@@ -34,6 +34,7 @@ MAX_ROUNDS, STEPS = 40, 12
 MOST_FLIPS = 50  # passes over all edges in a row; ten are many
 ROUGH_ROUNDS = 5  # after these the mesh must at least follow the surface
 MAX_TURN = 0.5  # smallest cosine between normals of a triangle and of the surface at its corners
+FOLDED, UNFOLDINGS = 0.3, 12  # a smaller cosine makes a fold; most attempts to take it away
 
 # For another length of edges: halves of edges longer than 4/3 h are nearer to h, and edges shorter
 # than 4/5 h after a collapse (M. Botsch, L. Kobbelt 2004).
@@ -149,7 +150,7 @@ def evened(
     for n in range(rounds):
         x, faces, changes = _even_out(x, faces, guide, h)
         x, faces = _relax(guide.project(x), faces, guide, h)
-        x = guide.project(x)
+        x = _unfolded(guide.project(x), faces, guide)
         reached = mesh_quality(trimesh.Trimesh(x, faces, process=False))
         good = (
             reached.min_angle >= MIN_ANGLE
@@ -210,6 +211,7 @@ def resized(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]
             x = _without_folds(x, guide.project(x), faces)
             faces = _flipped(x, faces)
         x, faces = _relax(x, faces, guide, h)
+        x = _unfolded(x, faces, guide)
     return x, faces
 
 
@@ -277,6 +279,34 @@ def _without_folds(x: Array, y: Array, faces: Ints) -> Array:
         back = np.unique(faces[folded])
         y[back] = x[back]
     return y
+
+
+def _unfolded(x: Array, faces: Ints, guide: Guide) -> Array:
+    """Vertices of folds moved to the mean of their neighbours, until no triangle is folded over.
+
+    No move turns a triangle by much, and so a fold that has come about would stay for ever.
+    """
+    i, j = edges_of(faces).ends.T
+    valence = np.bincount(i, minlength=len(x)) + np.bincount(j, minlength=len(x))
+    for n in range(UNFOLDINGS):
+        folded = _agreement(x, faces, guide) < FOLDED
+        if not folded.any():
+            break
+        moved = np.unique(faces[folded])
+        if n >= FEW:  # that was not enough: one ring more
+            moved = np.unique(faces[np.isin(faces, moved).any(axis=1)])
+        sums = [np.bincount(i, c[j], len(x)) + np.bincount(j, c[i], len(x)) for c in x.T]
+        x = x.copy()
+        x[moved] = guide.project((np.stack(sums, axis=1) / valence[:, None])[moved])
+    return x
+
+
+def _agreement(x: Array, faces: Ints, guide: Guide) -> Array:
+    """Cosines between normals of triangles and the mean of the surface's at their corners, (T,)."""
+    normals, g = _plane_normals(x, faces), guide.gradient(x)
+    g = (g / np.linalg.norm(g, axis=1, keepdims=True))[faces].sum(axis=1)
+    size = np.linalg.norm(normals, axis=1) * np.linalg.norm(g, axis=1)
+    return np.asarray(np.einsum("ti,ti->t", normals, g) / np.maximum(size, 1e-300))
 
 
 def _plane_normals(x: Array, faces: Ints) -> Array:
