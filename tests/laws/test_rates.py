@@ -85,3 +85,20 @@ def test_a_rate_is_the_same_as_a_source_of_the_new_value():
     M, A = SPACE.mass_stiffness(SPACE.nodes)
     rest = M @ (last.u - 1 - SPACE.nodes[:, 2]) / tau + A @ last.u + k * M @ last.u
     assert np.abs(rest).max() < 1e-14
+
+
+@pytest.mark.parametrize("name", ["initial", "diffusivity"])
+def test_arrays_of_a_species_are_copies_that_nobody_changes(name):
+    given = np.ones(2)
+    held = getattr(ec.Species(**{"initial": 1.0, name: given}), name)
+    given[0] = 5.0
+    np.testing.assert_array_equal(held, 1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        held[0] = 5.0
+
+
+@pytest.mark.parametrize("name", ["alpha", "beta"])
+@pytest.mark.parametrize("law", [ec.laws.Regularised, ec.laws.Dynamic])
+def test_coefficients_of_laws_are_not_negative(law, name):
+    with pytest.raises(ValueError, match=rf"{name} must be a finite number >= 0, got -1"):
+        law(**{name: -1})
