@@ -138,9 +138,9 @@ def _graded(at: Surface, lengths: Array) -> Array:
     # Paths over edges between nodes, from a point that is as far away from each as its length.
     i, j = at.space.pattern.nonzero()
     n, away = len(lengths), SLOPE * np.linalg.norm(at.x[i] - at.x[j], axis=1)
-    graph = coo_array(
-        (np.r_[away, lengths], (np.r_[i, np.full(n, n)], np.r_[j, np.arange(n)])), (n + 1, n + 1)
-    )
+    every = np.arange(n, dtype=i.dtype)  # SciPy's paths want 32 bits as the pattern has them
+    ends = np.r_[i, np.full_like(every, n)], np.r_[j, every]
+    graph = coo_array((np.r_[away, lengths], ends), (n + 1, n + 1))
     return np.asarray(dijkstra(graph.tocsr(), indices=[n]))[0, :n]
 
 
