@@ -1,14 +1,17 @@
 """Sums of element entries into sparse matrices and nodal vectors, with patterns made once."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, Ints
+from esfem_core.solvers import pieces, side_by_side, times_rows
 
 __all__ = ["NodalSum", "SparsePattern", "combination", "keep_freed_memory", "with_data"]
+
+PIECE = 2**16  # entries of a matrix that are worked on at a time
 
 
 def keep_freed_memory() -> None:
@@ -99,17 +102,44 @@ class SparsePattern:
         first = own[0] if len(own) else 0
         return _sums(order, starts), slice(first, first + len(own)), shared
 
-    def matrices(self, chunks: Iterable[tuple[Array, ...]], count: int) -> list[csr_array]:
-        """Sum the element entries of several matrices, (P, C) each for every chunk, into CSR."""
+    def matrices(self, entries: Callable[[int], tuple[Array, ...]], count: int) -> list[csr_array]:
+        """Sum the element entries of several matrices into CSR.
+
+        Parameters
+        ----------
+        entries : callable
+            From the number of a chunk to its entries, (P, C) for each matrix.
+        count : int
+            How many matrices.
+        """
         sums = np.empty((count, self._n_sums))
-        sums[:, self._shared :] = 0.0
-        for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
+
+        def sum_chunk(i: int) -> list[Array]:
+            """Put the chunk's own sums in their places, and return what it adds to shared ones."""
+            gather, own, _ = self._parts[i]
             n_own = own.stop - own.start
-            for out, values in zip(sums, entries, strict=True):
+            to_shared = []
+            for out, values in zip(sums, entries(i), strict=True):
                 chunk_sums = gather @ values.ravel()
                 out[own] = chunk_sums[:n_own]
-                out[shared] += chunk_sums[n_own:]
-        return [with_data(self.pattern, out.take(self.pattern.data)) for out in sums]
+                to_shared.append(chunk_sums[n_own:])
+            return to_shared
+
+        parts = side_by_side(sum_chunk, range(len(self._parts)))
+        sums[:, self._shared :] = 0.0
+        for (_, _, shared), to_shared in zip(self._parts, parts, strict=True):
+            for out, values in zip(sums, to_shared, strict=True):
+                out[shared] += values
+
+        data = [np.empty(len(self.pattern.data)) for _ in sums]
+
+        def place(piece: slice) -> None:
+            where = self.pattern.data[piece]
+            for out, values in zip(data, sums, strict=True):
+                out[piece] = values.take(where)
+
+        side_by_side(place, pieces(len(self.pattern.data), PIECE))
+        return [with_data(self.pattern, values) for values in data]
 
 
 def with_data(pattern: csr_array, data: Array) -> csr_array:
@@ -121,8 +151,13 @@ def with_data(pattern: csr_array, data: Array) -> csr_array:
 
 def combination(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     """The matrix a M + b A of two matrices with the same sparsity pattern."""
-    data = a * M.data
-    data += b * A.data
+    data = np.empty_like(M.data)
+
+    def combine(piece: slice) -> None:
+        np.multiply(a, M.data[piece], out=data[piece])
+        data[piece] += b * A.data[piece]
+
+    side_by_side(combine, pieces(len(data), PIECE))
     return with_data(M, data)
 
 
@@ -137,4 +172,5 @@ class NodalSum:
 
     def __call__(self, entries: Array) -> Array:
         """Sum m vectors of element entries, (m, n, T), into an (N, m) array."""
-        return np.column_stack([self._gather @ entry.ravel() for entry in entries])
+        sums: Array = times_rows(self._gather, entries.reshape(len(entries), -1)).T
+        return np.ascontiguousarray(sums)
