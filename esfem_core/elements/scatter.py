@@ -24,11 +24,11 @@ def keep_freed_memory() -> None:
     np.empty(2**25 - 2**16, dtype=np.uint8)  # never written to, so it takes none; freed at once
 
 
-def _sums(order: Ints, starts: Ints) -> csr_array:
+def _sums(order: Ints, starts: Ints, ones: Array) -> csr_array:
     """Matrix whose row i adds up the entries order[starts[i]:starts[i + 1]] of a vector."""
     ends = np.r_[starts, len(order)].astype(np.int32)
-    ones = np.ones(len(order))
-    return csr_array((ones, order.astype(np.int32), ends), shape=(len(starts), len(order)))
+    entries = ones[: len(order)], order.astype(np.int32), ends
+    return csr_array(entries, shape=(len(starts), len(order)))
 
 
 class SparsePattern:
@@ -75,7 +75,8 @@ class SparsePattern:
         # Runs of sums with equally many terms: the processor predicts their loops.
         place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
         self._shared = int(np.count_nonzero(alone))  # places from here on are shared
-        self._parts = [self._part(place[sums[:, c]]) for c in slices]
+        ones = np.ones(max(sums[:, c].size for c in slices))  # for all of them
+        self._parts = [self._part(place[sums[:, c]], ones) for c in slices]
 
         rows, columns = np.divmod(keys, n_nodes)
         off = rows != columns
@@ -88,19 +89,20 @@ class SparsePattern:
         )
         self.pattern.sort_indices()
         self.pattern.has_canonical_format = True
+        self.pattern.data = self.pattern.data.astype(np.int32)
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
             shared.setflags(write=False)  # all matrices of the space have these indices
         self._n_sums = len(keys)
 
-    def _part(self, places: Ints) -> tuple[csr_array, slice, Ints]:
+    def _part(self, places: Ints, ones: Array) -> tuple[csr_array, slice, Ints]:
         """What sums the entries of a chunk, and the places of its own and of the shared sums."""
         order = np.argsort(places, axis=None, kind="stable")
         used, starts = np.unique(places.ravel()[order], return_index=True)
         own, shared = np.split(used, [np.searchsorted(used, self._shared)])
         first = own[0] if len(own) else 0
-        return _sums(order, starts), slice(first, first + len(own)), shared
+        return _sums(order, starts, ones), slice(first, first + len(own)), shared.copy()
 
     def matrices(self, entries: Callable[[int], tuple[Array, ...]], count: int) -> list[csr_array]:
         """Sum the element entries of several matrices into CSR.
@@ -134,7 +136,7 @@ class SparsePattern:
         data = [np.empty(len(self.pattern.data)) for _ in sums]
 
         def place(piece: slice) -> None:
-            where = self.pattern.data[piece]
+            where = self.pattern.data[piece].astype(np.intp)
             for out, values in zip(data, sums, strict=True):
                 out[piece] = values.take(where)
 
@@ -168,7 +170,7 @@ class NodalSum:
         nodes = cells.T.ravel()
         order = np.argsort(nodes, kind="stable")
         counts = np.bincount(nodes, minlength=n_nodes)
-        self._gather = _sums(order, np.cumsum(counts) - counts)
+        self._gather = _sums(order, np.cumsum(counts) - counts, np.ones(len(order)))
 
     def __call__(self, entries: Array) -> Array:
         """Sum m vectors of element entries, (m, n, T), into an (N, m) array."""

@@ -138,7 +138,7 @@ def pcg(
     r = b - times_rows(A, x)  # step 1
     start = end = allowed.excess(r, x)
     # With p = 0, steps 6 to 8 of the first round set z = M^{-1} r and p = z, as step 1 does.
-    p, rz_old = np.zeros((len(r), 1)), np.ones(len(r))
+    p, rz_old = np.zeros_like(r), np.ones(len(r))
     k = 0
     while True:  # step 2
         if end <= 1:
@@ -154,7 +154,8 @@ def pcg(
             return Outcome(x, k, start, end, converged=False)
         z = precondition(r.T).T  # step 6
         rz = np.vecdot(r, z)
-        p = z + (rz / rz_old)[:, None] * p  # steps 7 and 8, beta = rz / rz_old
+        p *= (rz / rz_old)[:, None]  # steps 7 and 8, beta = rz / rz_old
+        p += z
         Ap = times_rows(A, p)
         pAp = np.vecdot(p, Ap)
         alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)[:, None]  # step 3

@@ -284,13 +284,13 @@ def batches_of_similar_size(counts: Ints, subtrees: int = 1) -> Batching:
     Returns
     -------
     Batching
-        Of at most 4 batches, or 2 for each of several subtrees, and of one alone if they had less
-        than 32 parts.
+        Of at most 4 batches for each subtree, and of one alone if they had less than 32 parts, or
+        64 where there are several subtrees.
     """
     size = counts.sum(axis=1)
     batches = []
     for parts in np.arange(len(counts)).reshape(subtrees, -1):
-        number = np.clip(len(parts) // BATCH, 1, BATCHES if subtrees == 1 else BATCHES // 2)
+        number = np.clip(len(parts) // (BATCH * min(subtrees, 2)), 1, BATCHES)
         by_size = parts[np.argsort(size[parts], kind="stable")]
         batches += np.array_split(by_size, number)
     padded = np.empty_like(counts)
