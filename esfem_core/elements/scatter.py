@@ -12,6 +12,7 @@ from esfem_core.solvers import pieces, side_by_side, times_rows
 __all__ = ["NodalSum", "SparsePattern", "combination", "keep_freed_memory", "with_data"]
 
 PIECE = 2**16  # entries of a matrix that are worked on at a time
+LEAST = 5 * 10**5  # entries of a matrix that several threads compute from those of two others
 
 
 def keep_freed_memory() -> None:
@@ -159,7 +160,7 @@ def combination(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
         np.multiply(a, M.data[piece], out=data[piece])
         data[piece] += b * A.data[piece]
 
-    side_by_side(combine, pieces(len(data), PIECE))
+    side_by_side(combine, pieces(len(data), PIECE), worth=len(data) > LEAST)
     return with_data(M, data)
 
 

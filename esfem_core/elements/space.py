@@ -554,7 +554,7 @@ class SurfaceSpace:
         def fill(c: slice) -> None:
             np.matmul(self.tables.tests, density[:, c] * by_point[..., c], out=entries[..., c])
 
-        side_by_side(fill, self._chunks)
+        side_by_side(fill, self._chunks, worth=by_point.size > 5 * 10**5)
         return self.sum_loads(entries, values.shape[2:])
 
     def sum_loads(self, entries: Array, trailing: tuple[int, ...]) -> Array:

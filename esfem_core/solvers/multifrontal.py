@@ -31,7 +31,7 @@ __all__ = ["BlockFactor", "factorise"]
 
 PRECISIONS = (np.dtype(np.float32), np.dtype(np.float64))
 LARGE = 10**5  # entries of right-hand sides that several threads put into place
-RUN = 2**20  # entries of the fronts that are eliminated at a time
+RUN = 2**21  # entries of the fronts that are eliminated at a time
 
 
 class Run(NamedTuple):
@@ -158,7 +158,7 @@ def _eliminate_all(
 
 
 def _runs(level: Level) -> list[Run]:
-    """Divide the batches of a depth into runs of less than 8 MiB, if that is not one front."""
+    """Divide the batches of a depth into runs of about 16 MiB at most, if that is not one front."""
     runs = []
     for batch in level.batches:
         count, m = batch.slots.shape

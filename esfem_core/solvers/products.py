@@ -6,12 +6,12 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array
-from esfem_core.solvers.threads import pieces, side_by_side
+from esfem_core.solvers.threads import pieces, side_by_side, thread_count
 
 __all__ = ["times", "times_rows"]
 
 ROWS = 2**15  # of a matrix that one thread multiplies at a time
-LEAST = 2**18  # entries of a matrix that several threads multiply
+LEAST = 600_000  # products of entries that several threads make
 
 
 def times(A: csr_array, x: Array) -> Array:
@@ -46,13 +46,15 @@ def times_rows(A: csr_array, x: Array) -> Array:
     array([[2., 3.]])
     """
     products = np.empty((len(x), A.shape[0]))
-    parts = [(rows, _some_rows(A, rows)) for rows in pieces(A.shape[0], ROWS)]
+    worth = len(x) * A.nnz > LEAST and thread_count() > 1
+    size = ROWS if worth else A.shape[0]  # the sums of rows do not depend on it
+    parts = [(rows, _some_rows(A, rows)) for rows in pieces(A.shape[0], size)]
 
     def multiply(place: tuple[int, tuple[slice, csr_array]]) -> None:
         i, (rows, part) = place
         products[i, rows] = part @ x[i]
 
-    side_by_side(multiply, product(range(len(x)), parts), worth=len(x) * A.nnz > LEAST)
+    side_by_side(multiply, product(range(len(x)), parts), worth)
     return products
 
 

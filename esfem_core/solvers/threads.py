@@ -33,10 +33,9 @@ _chosen: ContextVar[int | None] = ContextVar("chosen", default=None)
 def thread_count() -> int:
     """How many threads share the work.
 
-    As many as :func:`using_threads` says; else as the environment variable ``OMP_NUM_THREADS``
-    says; else 1 in worker processes, in threads other than the main one and in browsers, where the
-    processors are taken or there are no threads; else one for each processor that this process may
-    use.
+    In browsers 1; elsewhere as many as :func:`using_threads` says; else as the environment variable
+    ``OMP_NUM_THREADS`` says; else 1 in worker processes and in threads other than the main one,
+    where the processors are taken; else one for each processor that this process may use.
 
     Examples
     --------
@@ -44,14 +43,15 @@ def thread_count() -> int:
     ...     thread_count()
     3
     """
+    if sys.platform == "emscripten":
+        return 1
     chosen = _chosen.get()
     if chosen is not None:
         return chosen
     said = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
     if said.isdecimal() and int(said) > 0:
         return min(int(said), MOST_THREADS)
-    alone = parent_process() is None and current_thread() is main_thread()
-    if not alone or sys.platform == "emscripten":
+    if parent_process() is not None or current_thread() is not main_thread():
         return 1
     if hasattr(os, "sched_getaffinity"):
         return min(len(os.sched_getaffinity(0)), MOST_THREADS)

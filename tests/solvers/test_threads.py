@@ -143,6 +143,7 @@ def test_solves_have_the_same_bits(monkeypatch):
 def test_runs_have_the_same_bits(monkeypatch, mass):
     monkeypatch.setattr("esfem_core.elements.integrals.CHUNK", 500)
     monkeypatch.setattr("esfem_core.elements.scatter.PIECE", 500)
+    monkeypatch.setattr("esfem_core.elements.scatter.LEAST", 0)
     monkeypatch.setattr(products, "ROWS", 300)
     monkeypatch.setattr(products, "LEAST", 0)
     space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
