@@ -8,14 +8,16 @@ Run from the root of the repository, on a machine that does nothing else (about 
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
 
+import dolfinx_peer
 import ngsolve
 import ngsolve_peer
 import numpy as np
@@ -24,7 +26,7 @@ from timing import in_turn, machine, summary
 
 import esfem_core as ec
 from esfem_core.elements import SurfaceSpace
-from esfem_core.solvers import LaggedSolver, cholmod, factorise, superlu
+from esfem_core.solvers import LaggedSolver, cholmod, factorise, superlu, times, using_threads
 from esfem_core.study import final
 
 RESULTS = Path("esfem_core/companion/data/performance.json")
@@ -40,15 +42,23 @@ def radius(t):
     return 1 + 0.5 * np.sin(np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)
 
 
-def assembly(repeats=15):
+def moved(space):
+    """Nodes of the sphere, moved to another surface."""
+    return space.nodes * [1, 1.2, 0.8] + 0.1 * np.sin(2 * space.nodes[:, [1, 2, 0]])
+
+
+def assembly(repeats=15, threads=1):
     """Mass and stiffness matrix on a surface that moves between the calls."""
     rows = []
     for refinements in (5, 6, 7):
         space = sphere(refinements)
         peer = ngsolve_peer.Peer(space)
-        x = space.nodes * [1, 1.2, 0.8] + 0.1 * np.sin(2 * space.nodes[:, [1, 2, 0]])
+        x = moved(space)
         peer.move(x)
-        row = in_turn(peer.assemble, lambda space=space, x=x: space.mass_stiffness(x), repeats)
+        ngsolve.SetNumThreads(threads)
+        with using_threads(threads), ngsolve.TaskManager() if threads > 1 else nullcontext():
+            row = in_turn(peer.assemble, lambda space=space, x=x: space.mass_stiffness(x), repeats)
+        ngsolve.SetNumThreads(1)
         u, w = np.random.default_rng(0).standard_normal((2, len(x)))
         differences = []
         for matrix, form in zip(space.mass_stiffness(x), (peer.M, peer.A), strict=True):
@@ -58,6 +68,74 @@ def assembly(repeats=15):
         rows.append(row | {"nodes": len(x), "difference": float(max(differences))})
         print(rows[-1], flush=True)
     return rows
+
+
+def assembly_dolfinx(repeats=15):
+    """The same beside DOLFINx in a process of its own, and with as many threads as processes."""
+    reason = dolfinx_peer.reason_against()
+    if reason:
+        return {"skipped": reason}
+    rows = []
+    for threads in (1, 2):
+        for refinements in (5, 6, 7):
+            space = sphere(refinements)
+            x = moved(space)
+            peer = dolfinx_peer.Peer(space, x, threads)
+            pairs, faults = [], []
+            with using_threads(threads):
+                for _ in range(repeats + 1):
+                    theirs = peer.assemble()
+                    space.mass_stiffness(x)  # fill the caches again
+                    before = page_faults()
+                    pairs.append([theirs, seconds(space.mass_stiffness, x)])
+                    faults.append(page_faults() - before)
+            peer.close()
+            row = summary(*np.array(pairs[1:]).T) | {"nodes": len(x), "threads": threads}
+            row |= {"faults": float(np.median(faults[1:])), "version": peer.version}
+            if peer.forms:
+                u, w = np.random.default_rng(0).standard_normal((2, len(x)))
+                row["difference"] = max(
+                    float(abs(w @ (matrix @ u) - form))
+                    / float(np.linalg.norm(w) * np.linalg.norm(matrix @ u))
+                    for matrix, form in zip(space.mass_stiffness(x), peer.forms, strict=True)
+                )
+            rows.append(row)
+            print(row, flush=True)
+    return rows
+
+
+def page_faults():
+    """Pages of memory that the system has given to this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+
+def cores(threads=2, blocks=20, length=5):
+    """A step on one thread and on several, two runs in turn, which must have the same bits."""
+    rows = []
+    for refinements in (4, 5, 6, 7):
+        for mass in ("updated", "extrapolated"):
+            space, problem = sphere(refinements), ec.problems.expanding_sphere()
+            counts = (1, threads)
+            runs = [
+                ec.evolve(space, problem, 3, 1e-3, 0.9, mass=mass, threads=count)
+                for count in counts
+            ]
+            for states in runs:
+                run(states, 9)
+            times = np.array([[warm(states, length) for states in runs] for _ in range(blocks)])
+            one, several = (next(states) for states in runs)
+            assert (one.x == several.x).all()
+            assert (one.u == several.u).all()
+            row = summary(*times.T) | {"nodes": len(space.nodes), "mass": mass, "threads": threads}
+            rows.append(row)
+            print(row, flush=True)
+    return rows
+
+
+def warm(states, length):
+    """Seconds for a step, after one that fills the caches again."""
+    run(states, 1)
+    return run(states, length) / length
 
 
 def step(solver, peer_solver, blocks=10, length=5):
@@ -140,16 +218,20 @@ def scaling():
 
 
 def one_size(refinements, steps=24):
-    """Print seconds per step and peak memory as JSON."""
+    """Print seconds per step, for set-up and for the first step, and peak memory as JSON."""
+    start = time.perf_counter()
     space, problem = sphere(refinements), ec.problems.expanding_sphere()
     states = ec.evolve(space, problem, 3, 1e-3, (steps + 8) * 1e-3, mass="extrapolated")
-    for _ in range(8):
-        next(states)
+    setup = time.perf_counter() - start
+    first = run(states, 4)  # three starting states and a step
+    run(states, 4)
+    before = page_faults()
     times = [run(states, 1) for _ in range(steps)]
+    faults = (page_faults() - before) / steps
     status = Path("/proc/self/status").read_text()  # of this process alone, unlike getrusage
     peak = int(status.split("VmHWM:")[1].split()[0]) / 2**20
     row = {"nodes": len(space.nodes), "seconds": float(np.median(times)), "peak_gib": peak}
-    print(json.dumps(row))
+    print(json.dumps(row | {"setup": setup, "first": first, "faults": faults}))
 
 
 def factorisations(repeats=9):
@@ -222,7 +304,7 @@ def timed(owner, name, spent, label):
 
 
 def limits():
-    """How far assembly is from what memory and arithmetic allow."""
+    """How far the parts of a step are from what memory and arithmetic allow."""
     space = sphere(6)
     n_cells, n = space.cells.shape
     pairs, points = n * (n + 1) // 2, len(space.rule.weights)
@@ -238,7 +320,13 @@ def limits():
     copy = min(seconds(np.copyto, target, source) for _ in range(5))
     gemm = min(seconds(np.matmul, square, square) for _ in range(5))
     spent = np.median([seconds(space.mass_stiffness, space.nodes) for _ in range(15)])
+    parts = [{"name": "M and A", "seconds": float(spent), "bytes": moved, "flops": flops}]
+    for name, call, n_bytes, operations in other_parts(space):
+        call()
+        part = float(np.median([seconds(call) for _ in range(15)]))
+        parts.append({"name": name, "seconds": part, "bytes": n_bytes, "flops": operations})
     return {
+        "parts": parts,
         "nodes": len(space.nodes),
         "seconds": float(spent),
         "bytes": moved,
@@ -246,6 +334,39 @@ def limits():
         "flops": flops,
         "peak": 2 * 1500**3 / gemm,
     }
+
+
+def other_parts(space):
+    """Name, call, bytes that have to move and operations of what a step does besides M and A."""
+    M, A = space.mass_stiffness(space.nodes)
+    factor = factorise(M + A, space.fronts)
+    n, (n_cells, n_local), n_points = len(space.nodes), space.cells.shape, len(space.rule.weights)
+    values = space.evaluate(space.nodes)
+    # Entries of the factor are read on the way up, but for the inverses, and on the way down.
+    inverses = sum(
+        (batch.own.stop - batch.own.start) ** 2 / len(batch.slots)
+        for level in space.fronts.levels
+        for batch in level.batches
+    )
+    entries = 2 * space.fronts.n_stored - inverses
+    yield (
+        "load of three functions",
+        partial(space.load, space.nodes, values),
+        3 * n_cells * 8 * (n_points + 2 * n_local) + n_cells * n_local * 4 + 24 * n,
+        3 * n_cells * n_points * (1 + 2 * n_local),
+    )
+    yield (
+        "a matrix times three vectors",
+        partial(times, M, space.nodes),
+        3 * (12 * M.nnz + 16 * n),
+        6 * M.nnz,
+    )
+    yield (
+        "a solve with the factor, three right-hand sides",
+        partial(factor.solve, space.nodes),
+        4 * entries + 2 * 3 * 12 * n,
+        6 * entries,
+    )
 
 
 def seconds(function, *arguments):
@@ -257,6 +378,9 @@ def seconds(function, *arguments):
 
 SUITE = {
     "assembly": assembly,
+    "assembly_two_threads": partial(assembly, threads=2),
+    "assembly_dolfinx": assembly_dolfinx,
+    "cores": cores,
     "step": lambda: step("lagged", "sparsecholesky"),
     "step_fast": lambda: step("cholmod", "sparsecholesky"),
     "step_lagged_peer": lambda: step("lagged", "lagged"),

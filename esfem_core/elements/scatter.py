@@ -1,14 +1,18 @@
 """Sums of element entries into sparse matrices and nodal vectors, with patterns made once."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, Ints
+from esfem_core.solvers import pieces, side_by_side, times_rows
 
 __all__ = ["NodalSum", "SparsePattern", "combination", "keep_freed_memory", "with_data"]
+
+PIECE = 2**16  # entries of a matrix that are worked on at a time
+LEAST = 5 * 10**5  # entries of a matrix that several threads compute from those of two others
 
 
 def keep_freed_memory() -> None:
@@ -21,11 +25,11 @@ def keep_freed_memory() -> None:
     np.empty(2**25 - 2**16, dtype=np.uint8)  # never written to, so it takes none; freed at once
 
 
-def _sums(order: Ints, starts: Ints) -> csr_array:
+def _sums(order: Ints, starts: Ints, ones: Array) -> csr_array:
     """Matrix whose row i adds up the entries order[starts[i]:starts[i + 1]] of a vector."""
     ends = np.r_[starts, len(order)].astype(np.int32)
-    ones = np.ones(len(order))
-    return csr_array((ones, order.astype(np.int32), ends), shape=(len(starts), len(order)))
+    entries = ones[: len(order)], order.astype(np.int32), ends
+    return csr_array(entries, shape=(len(starts), len(order)))
 
 
 class SparsePattern:
@@ -72,7 +76,8 @@ class SparsePattern:
         # Runs of sums with equally many terms: the processor predicts their loops.
         place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
         self._shared = int(np.count_nonzero(alone))  # places from here on are shared
-        self._parts = [self._part(place[sums[:, c]]) for c in slices]
+        ones = np.ones(max(sums[:, c].size for c in slices))  # for all of them
+        self._parts = [self._part(place[sums[:, c]], ones) for c in slices]
 
         rows, columns = np.divmod(keys, n_nodes)
         off = rows != columns
@@ -85,31 +90,59 @@ class SparsePattern:
         )
         self.pattern.sort_indices()
         self.pattern.has_canonical_format = True
+        self.pattern.data = self.pattern.data.astype(np.int32)
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
             shared.setflags(write=False)  # all matrices of the space have these indices
         self._n_sums = len(keys)
 
-    def _part(self, places: Ints) -> tuple[csr_array, slice, Ints]:
+    def _part(self, places: Ints, ones: Array) -> tuple[csr_array, slice, Ints]:
         """What sums the entries of a chunk, and the places of its own and of the shared sums."""
         order = np.argsort(places, axis=None, kind="stable")
         used, starts = np.unique(places.ravel()[order], return_index=True)
         own, shared = np.split(used, [np.searchsorted(used, self._shared)])
         first = own[0] if len(own) else 0
-        return _sums(order, starts), slice(first, first + len(own)), shared
+        return _sums(order, starts, ones), slice(first, first + len(own)), shared.copy()
 
-    def matrices(self, chunks: Iterable[tuple[Array, ...]], count: int) -> list[csr_array]:
-        """Sum the element entries of several matrices, (P, C) each for every chunk, into CSR."""
+    def matrices(self, entries: Callable[[int], tuple[Array, ...]], count: int) -> list[csr_array]:
+        """Sum the element entries of several matrices into CSR.
+
+        Parameters
+        ----------
+        entries : callable
+            From the number of a chunk to its entries, (P, C) for each matrix.
+        count : int
+            How many matrices.
+        """
         sums = np.empty((count, self._n_sums))
-        sums[:, self._shared :] = 0.0
-        for (gather, own, shared), entries in zip(self._parts, chunks, strict=True):
+
+        def sum_chunk(i: int) -> list[Array]:
+            """Put the chunk's own sums in their places, and return what it adds to shared ones."""
+            gather, own, _ = self._parts[i]
             n_own = own.stop - own.start
-            for out, values in zip(sums, entries, strict=True):
+            to_shared = []
+            for out, values in zip(sums, entries(i), strict=True):
                 chunk_sums = gather @ values.ravel()
                 out[own] = chunk_sums[:n_own]
-                out[shared] += chunk_sums[n_own:]
-        return [with_data(self.pattern, out.take(self.pattern.data)) for out in sums]
+                to_shared.append(chunk_sums[n_own:])
+            return to_shared
+
+        parts = side_by_side(sum_chunk, range(len(self._parts)))
+        sums[:, self._shared :] = 0.0
+        for (_, _, shared), to_shared in zip(self._parts, parts, strict=True):
+            for out, values in zip(sums, to_shared, strict=True):
+                out[shared] += values
+
+        data = [np.empty(len(self.pattern.data)) for _ in sums]
+
+        def place(piece: slice) -> None:
+            where = self.pattern.data[piece].astype(np.intp)
+            for out, values in zip(data, sums, strict=True):
+                out[piece] = values.take(where)
+
+        side_by_side(place, pieces(len(self.pattern.data), PIECE))
+        return [with_data(self.pattern, values) for values in data]
 
 
 def with_data(pattern: csr_array, data: Array) -> csr_array:
@@ -121,8 +154,13 @@ def with_data(pattern: csr_array, data: Array) -> csr_array:
 
 def combination(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     """The matrix a M + b A of two matrices with the same sparsity pattern."""
-    data = a * M.data
-    data += b * A.data
+    data = np.empty_like(M.data)
+
+    def combine(piece: slice) -> None:
+        np.multiply(a, M.data[piece], out=data[piece])
+        data[piece] += b * A.data[piece]
+
+    side_by_side(combine, pieces(len(data), PIECE), worth=len(data) > LEAST)
     return with_data(M, data)
 
 
@@ -133,8 +171,9 @@ class NodalSum:
         nodes = cells.T.ravel()
         order = np.argsort(nodes, kind="stable")
         counts = np.bincount(nodes, minlength=n_nodes)
-        self._gather = _sums(order, np.cumsum(counts) - counts)
+        self._gather = _sums(order, np.cumsum(counts) - counts, np.ones(len(order)))
 
     def __call__(self, entries: Array) -> Array:
         """Sum m vectors of element entries, (m, n, T), into an (N, m) array."""
-        return np.column_stack([self._gather @ entry.ravel() for entry in entries])
+        sums: Array = times_rows(self._gather, entries.reshape(len(entries), -1)).T
+        return np.ascontiguousarray(sums)

@@ -4,7 +4,7 @@ Topology never changes; geometry is an (N, 3) array x of node positions. Γ_h[x]
 at x", and every method that depends on the geometry takes x as its first argument.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from math import isqrt
 from typing import Any, Literal
@@ -39,7 +39,7 @@ from esfem_core.elements.numbering import (
 from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern, keep_freed_memory
-from esfem_core.solvers import Fronts, dissect
+from esfem_core.solvers import Fronts, dissect, side_by_side
 from esfem_core.surfaces import (
     boundary_advice,
     check_triangulation,
@@ -53,6 +53,7 @@ from esfem_core.surfaces import (
 __all__ = ["NodeOrder", "SurfaceSpace"]
 
 NodeOrder = Literal["vtk", "gmsh", "meshio"]  # on triangles these are one order
+Entries = Callable[[slice, Metric], tuple[Array, ...]]
 
 
 class SurfaceSpace:
@@ -367,22 +368,23 @@ class SurfaceSpace:
         DegenerateElementError
             If an element has no area or a position is not finite.
         """
-        M, A = self.assemble((self.tables.mass_stiffness(g) for _, g in self.metrics(x)), 2)
+        M, A = self.assemble(x, lambda _, g: self.tables.mass_stiffness(g), 2)
         return M, A
 
     def mass(self, x: Array) -> csr_array:
         """Mass matrix alone, in half the time of both; see :meth:`mass_stiffness`."""
-        [M] = self.assemble((self.tables.mass_only(g) for _, g in self.metrics(x)), 1)
+        [M] = self.assemble(x, lambda _, g: self.tables.mass_only(g), 1)
         return M
 
-    def assemble(self, entries: Iterator[tuple[Array, ...]], count: int) -> list[csr_array]:
+    def assemble(self, x: Array, entries: Entries, count: int) -> list[csr_array]:
         """Sum element entries into matrices.
 
         Parameters
         ----------
-        entries : iterator of tuples of (P, C) float arrays
-            For each chunk of :meth:`metrics`, the entries of each matrix for the index pairs
-            ``tables.pairs``.
+        x : (N, 3) float array
+        entries : callable
+            From a chunk of C elements and its metric on Γ_h[x], as :meth:`by_chunks` hands them
+            out, to the entries of each matrix for the index pairs ``tables.pairs``, (P, C).
         count : int
             How many matrices.
 
@@ -390,7 +392,8 @@ class SurfaceSpace:
         -------
         list of (N, N) CSR arrays
         """
-        return self._scatter.matrices(entries, count)
+        metric = self._metrics(x)
+        return self._scatter.matrices(lambda i: entries(*metric(i)), count)
 
     def interpolate(self, function: Callable[[Array], ArrayLike], x: Array) -> Array:
         """Nodal values of a function on Γ_h[x].
@@ -553,7 +556,13 @@ class SurfaceSpace:
     def load_with(self, density: Array, values: Array) -> Array:
         """Load vector with the area density, (Q, T), of a surface."""
         by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)
-        return self.sum_loads(self.tables.tests @ (density * by_point), values.shape[2:])
+        entries = np.empty((len(by_point), self.cells.shape[1], len(self.cells)))
+
+        def fill(c: slice) -> None:
+            np.matmul(self.tables.tests, density[:, c] * by_point[..., c], out=entries[..., c])
+
+        side_by_side(fill, self._chunks, worth=by_point.size > 5 * 10**5)
+        return self.sum_loads(entries, values.shape[2:])
 
     def sum_loads(self, entries: Array, trailing: tuple[int, ...]) -> Array:
         """Sum element entries (m, n, T) into nodal vectors (N, ...)."""
@@ -603,8 +612,11 @@ class SurfaceSpace:
         """
         local = self.local(u)
         out = np.empty((len(local), 3, len(self.rule.weights), len(self.cells)))
-        for c, g in self.metrics(x):
+
+        def fill(c: slice, g: Metric) -> None:
             out[..., c] = self.tables.gradient(g, local[:, :, c])
+
+        self.by_chunks(x, fill)
         return self.points_first(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
 
     def quadrature_points(self, x: Array) -> Array:
@@ -614,15 +626,21 @@ class SurfaceSpace:
     def normals(self, x: Array) -> Array:
         """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
         out = np.empty((3, len(self.rule.weights), len(self.cells)))
-        for c, g in self.metrics(x):
+
+        def fill(c: slice, g: Metric) -> None:
             out[..., c] = g.normals()
+
+        self.by_chunks(x, fill)
         return out.transpose(2, 1, 0)
 
     def density(self, x: Array) -> Array:
         """Area density of Γ_h[x] over the reference triangle, (T, Q): the area is w @ density.T."""
         out = np.empty((len(self.rule.weights), len(self.cells)))
-        for c, g in self.metrics(x):
+
+        def fill(c: slice, g: Metric) -> None:
             out[:, c] = g.s
+
+        self.by_chunks(x, fill)
         return out.T
 
     def basis_gradients(self, x: Array) -> Array:
@@ -633,8 +651,11 @@ class SurfaceSpace:
         """
         n = self.cells.shape[1]
         out = np.empty((n, 3, len(self.rule.weights), len(self.cells)))
-        for c, g in self.metrics(x):
+
+        def fill(c: slice, g: Metric) -> None:
             out[..., c] = self.tables.gradient(g, np.eye(n)[:, :, None])
+
+        self.by_chunks(x, fill)
         return out.transpose(3, 2, 0, 1)
 
     @cached_property
@@ -652,12 +673,24 @@ class SurfaceSpace:
         corners = finite_array("x", x, self.nodes.shape)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 
-    def metrics(self, x: Array) -> Iterator[tuple[slice, Metric]]:
-        """Metrics on Γ_h[x], chunk by chunk of elements."""
+    def by_chunks(self, x: Array, work: Callable[[slice, Metric], object]) -> None:
+        """Call work(c, metric) for each chunk c of elements of Γ_h[x], on several threads.
+
+        A chunk is a slice of ``cells``; see :func:`esfem_core.solvers.threads.side_by_side`.
+        """
+        metric = self._metrics(x)
+        side_by_side(lambda i: work(*metric(i)), range(len(self._chunks)))
+
+    def _metrics(self, x: Array) -> Callable[[int], tuple[slice, Metric]]:
+        """What makes the metric of a chunk on Γ_h[x], from its number."""
         coordinates = np.ascontiguousarray(real_array("x", x, self.nodes.shape).T)
-        for c in self._chunks:
+
+        def metric(i: int) -> tuple[slice, Metric]:
+            c = self._chunks[i]
             nodes = coordinates.take(self._cells_last[:, c], axis=1)
-            yield c, self.tables.metric(nodes, c.start)
+            return c, self.tables.metric(nodes, c.start)
+
+        return metric
 
     def local(self, u: Array) -> Array:
         """Nodal values by element, (m, n, T)."""

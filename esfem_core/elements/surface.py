@@ -6,7 +6,7 @@ surface is let go; a time scheme tells it what the step before asked for, so tha
 out of one pass over the elements.
 """
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Mapping, Set
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, mapping, number, object_of, real_array
+from esfem_core.elements.integrals import Metric
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
 
@@ -262,19 +263,21 @@ class Surface:
         tensor = _weight("stiffness", stiffness, points, tensors=True)
         tables = self.space.tables
 
-        def entries() -> Iterator[tuple[Array]]:
-            for c, g in self.space.metrics(self.x):
-                yield tables.weighted(g, _part(weight, c), _part(tensor, c))
+        def entries(c: slice, g: Metric) -> tuple[Array]:
+            return tables.weighted(g, _part(weight, c), _part(tensor, c))
 
-        [matrix] = self.space.assemble(entries(), 1)
+        [matrix] = self.space.assemble(self.x, entries, 1)
         return matrix
 
     def _flux_load(self, flux: Array) -> Array:
         n_cells, n_points, *trailing, _ = flux.shape
         by_point = flux.reshape(n_cells, n_points, -1, 3).transpose(2, 3, 1, 0)  # (m, 3, Q, T)
         entries = np.empty((len(by_point), self.space.cells.shape[1], n_cells))
-        for c, g in self.space.metrics(self.x):
+
+        def fill(c: slice, g: Metric) -> None:
             entries[..., c] = self.space.tables.flux_load(g, by_point[..., c])
+
+        self.space.by_chunks(self.x, fill)
         return self.space.sum_loads(entries, tuple(trailing))
 
     def _field(self, name: str) -> Array:
@@ -310,18 +313,17 @@ class Surface:
         points = np.empty((3, *size)) if POINTS in keys else None
         gradients = [np.empty((len(u), 3, *size)) for u in local]
 
-        def entries() -> Iterator[tuple[Array, ...]]:
-            for c, g in space.metrics(self.x):
-                density[:, c] = g.s
-                for gradient, u in zip(gradients, local, strict=True):
-                    gradient[..., c] = tables.gradient(g, u[:, :, c])
-                if normal is not None:
-                    normal[..., c] = g.normals()
-                if points is not None:
-                    points[..., c] = tables.values @ g.nodes
-                yield tables.mass_stiffness(g) if MATRICES in keys else ()
+        def entries(c: slice, g: Metric) -> tuple[Array, ...]:
+            density[:, c] = g.s
+            for gradient, u in zip(gradients, local, strict=True):
+                gradient[..., c] = tables.gradient(g, u[:, :, c])
+            if normal is not None:
+                normal[..., c] = g.normals()
+            if points is not None:
+                points[..., c] = tables.values @ g.nodes
+            return tables.mass_stiffness(g) if MATRICES in keys else ()
 
-        matrices = space.assemble(entries(), 2 if MATRICES in keys else 0)
+        matrices = space.assemble(self.x, entries, 2 if MATRICES in keys else 0)
         if matrices:
             for matrix in matrices:
                 matrix.data.setflags(write=False)

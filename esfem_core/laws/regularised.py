@@ -7,6 +7,7 @@ from esfem_core.checks import Array, number, shown
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.values import force_at
+from esfem_core.solvers import times
 
 __all__ = ["Regularised"]
 
@@ -54,7 +55,7 @@ class Regularised(Law):
         One (N, N) matrix serves the three components. Solving for v and not for x avoids the
         division of x's rounding errors by tau.
         """
-        b = self.beta * (at.A @ past)
+        b = self.beta * times(at.A, past)
         force = self.load(at)
         if force is not None:
             b += force

@@ -8,9 +8,18 @@ from esfem_core.solvers.factors import DirectSolver, Factor, Solver, cholmod, su
 from esfem_core.solvers.fronts import Fronts
 from esfem_core.solvers.lagged import LaggedSolver
 from esfem_core.solvers.multifrontal import BlockFactor, factorise
+from esfem_core.solvers.products import times, times_rows
 from esfem_core.solvers.systems import check_residual, right_hand_side
+from esfem_core.solvers.threads import (
+    MOST_THREADS,
+    pieces,
+    side_by_side,
+    thread_count,
+    using_threads,
+)
 
 __all__ = [
+    "MOST_THREADS",
     "BlockFactor",
     "DirectSolver",
     "Dissection",
@@ -22,6 +31,12 @@ __all__ = [
     "cholmod",
     "dissect",
     "factorise",
+    "pieces",
     "right_hand_side",
+    "side_by_side",
     "superlu",
+    "thread_count",
+    "times",
+    "times_rows",
+    "using_threads",
 ]

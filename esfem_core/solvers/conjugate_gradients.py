@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array
+from esfem_core.solvers.products import times_rows
 
 __all__ = ["Outcome", "Tolerance", "pcg", "tolerance"]
 
@@ -133,11 +134,11 @@ def pcg(
     (5, True)
     """
     x = x.copy()
-    row_sums = A @ np.ones(A.shape[0])
-    r = b - _times(A, x)  # step 1
+    [row_sums] = times_rows(A, np.ones((1, A.shape[0])))
+    r = b - times_rows(A, x)  # step 1
     start = end = allowed.excess(r, x)
     # With p = 0, steps 6 to 8 of the first round set z = M^{-1} r and p = z, as step 1 does.
-    p, rz_old = np.zeros((len(r), 1)), np.ones(len(r))
+    p, rz_old = np.zeros_like(r), np.ones(len(r))
     k = 0
     while True:  # step 2
         if end <= 1:
@@ -153,8 +154,9 @@ def pcg(
             return Outcome(x, k, start, end, converged=False)
         z = precondition(r.T).T  # step 6
         rz = np.vecdot(r, z)
-        p = z + (rz / rz_old)[:, None] * p  # steps 7 and 8, beta = rz / rz_old
-        Ap = _times(A, p)
+        p *= (rz / rz_old)[:, None]  # steps 7 and 8, beta = rz / rz_old
+        p += z
+        Ap = times_rows(A, p)
         pAp = np.vecdot(p, Ap)
         alpha = np.divide(rz, pAp, out=np.zeros_like(rz), where=pAp > 0)[:, None]  # step 3
         x += alpha * p  # step 4
@@ -162,11 +164,3 @@ def pcg(
         r -= Ap  # step 5
         rz_old = np.where(rz > 0, rz, 1.0)  # a row that is solved exactly stays where it is
         k, end = k + 1, allowed.excess(r, x)
-
-
-def _times(A: csr_array, x: Array) -> Array:
-    """A times each row of x."""
-    products = np.empty_like(x)
-    for product, row in zip(products, x, strict=True):
-        product[:] = A @ row
-    return products

@@ -3,8 +3,10 @@ r"""Dense fronts of a dissected mesh: which nodes each has, and where they stand
 The nodes of a mesh are eliminated part by part, from the smallest parts of a dissection to the
 whole. The front of a part is a dense matrix on the nodes I that the part owns and the nodes B
 around it, which larger parts own. Parts of one depth do not wait for each other: those of similar
-size form a batch, are padded to one shape and worked on at once. All of that depends on the mesh
-alone; :mod:`esfem_core.solvers.multifrontal` fills the fronts with numbers.
+size form a batch, are padded to one shape and worked on at once. On large meshes the tree is cut
+below its largest parts: what is left are subtrees that do not wait for each other either, and may
+have threads of their own. All of that depends on the mesh alone;
+:mod:`esfem_core.solvers.multifrontal` fills the fronts with numbers.
 
 A small mesh shows what is remembered. Three triangles on five nodes lie in two parts, the first
 triangle in part 0, the others in part 1::
@@ -81,10 +83,10 @@ of nodes 0, 3 and 4 at depth 1; the other 5 mirror some of those and are not nee
 [4, 10]
 
 What is left of a front when its nodes I are eliminated is a matrix S on its nodes 1 and 2. They are
-rows and columns 0 and 1 of the front of the whole, which has 2 x 2 entries:
+rows and columns 0 and 1 of the front of the whole, where the S of both parts are added up:
 
->>> (batch.rows[0][:, None] + batch.columns[0]).tolist()  # where S of part 0 is added to it
-[[0, 1], [2, 3]]
+>>> batch.rows.tolist(), batch.above.tolist()  # of the front number 0 of the next smaller depth
+([[0, 1], [0, 1]], [0, 0])
 """
 
 from typing import NamedTuple
@@ -110,6 +112,8 @@ __all__ = [
 
 BATCH = 32  # parts that a batch has at least, where there are so many
 BATCHES = 4  # batches that a depth has at most
+SMALL = 9  # depth of a tree that is not cut
+MOST_CUT = 2  # depth at which a tree is cut at most, into 4 subtrees
 
 
 class Batch(NamedTuple):
@@ -117,24 +121,27 @@ class Batch(NamedTuple):
 
     Attributes
     ----------
+    subtree : int
+        Its number.
     own : slice
         Slots of the nodes I, front by front.
     slots : (F, m) int array
         Slots of all the nodes, I before B.
-    outer : (F (m - m_I),) int array
-        Those of the nodes B alone.
-    memory : slice
-        Where the fronts stand in the memory of their depth.
-    rows, columns : (F, m - m_I) int arrays
-        Entry (i, j) of S belongs to rows[i] + columns[j] in the memory of the next smaller depth.
+    number, place : int
+        Of the first front among those of its depth, and where it stands in their memory.
+    above : (F,) int array
+        The fronts of the next smaller depth that take up what is left of these.
+    rows : (F, m - m_I) int array
+        Rows, and columns, of those fronts that the nodes B are.
     """
 
+    subtree: int
     own: slice
     slots: Ints
-    outer: Ints
-    memory: slice
+    number: int
+    place: int
+    above: Ints
     rows: Ints
-    columns: Ints
 
 
 class Level(NamedTuple):
@@ -143,16 +150,14 @@ class Level(NamedTuple):
     Attributes
     ----------
     batches : list of Batch
-    size : int
-        Length of the memory for all fronts.
     entries, places : int arrays
-        Entries of A that come in here, by their positions in its data, and where in the memory.
+        Entries of A that come in here, by their positions in its data, and where in the memory,
+        in increasing order.
     padding : int array
-        Where in the memory the diagonals of padded nodes I stand.
+        Where in the memory the diagonals of padded nodes I stand, in increasing order.
     """
 
     batches: list[Batch]
-    size: int
     entries: Ints
     places: Ints
     padding: Ints
@@ -196,7 +201,7 @@ class Batching(NamedTuple):
     Attributes
     ----------
     parts : list of int arrays
-        Parts of each batch.
+        Parts of each batch; those of the first subtree come first, and so on.
     padded : (P, 2) int array
         m_I and m_B of each part: the largest numbers of nodes I and nodes B in its batch.
     """
@@ -214,13 +219,14 @@ class Places(NamedTuple):
         Row of each of the pairs in the front of its part.
     width : (P,) int array
         m, the number of rows of each front.
-    own, nodes, front : (P,) int arrays
-        How many nodes I, nodes and entries of fronts stand before those of each part, padded ones
-        included.
+    number, own, nodes, front : (P,) int arrays
+        How many fronts, nodes I, nodes and entries of fronts stand before those of each part,
+        padded ones included.
     """
 
     row: Ints
     width: Ints
+    number: Ints
     own: Ints
     nodes: Ints
     front: Ints
@@ -265,22 +271,28 @@ def _keys(in_larger: Bools, part: Ints, node: Ints) -> Ints:
     return part_and_side * len(in_larger) + node
 
 
-def batches_of_similar_size(counts: Ints) -> Batching:
+def batches_of_similar_size(counts: Ints, subtrees: int = 1) -> Batching:
     """Divide the parts of a depth into batches.
 
     Parameters
     ----------
     counts : (P, 2) int array
         Numbers of nodes I and B of each part.
+    subtrees : int
+        Number of subtrees that the parts, equally many, belong to: no batch has parts of two.
 
     Returns
     -------
     Batching
-        Of at most 4 batches, and of one alone if they had less than 32 parts.
+        Of at most 4 batches for each subtree, and of one alone if they had less than 32 parts, or
+        64 where there are several subtrees.
     """
-    number = np.clip(len(counts) // BATCH, 1, BATCHES)
-    by_size = np.argsort(counts.sum(axis=1), kind="stable")
-    batches = np.array_split(by_size, number)
+    size = counts.sum(axis=1)
+    batches = []
+    for parts in np.arange(len(counts)).reshape(subtrees, -1):
+        number = np.clip(len(parts) // (BATCH * min(subtrees, 2)), 1, BATCHES)
+        by_size = parts[np.argsort(size[parts], kind="stable")]
+        batches += np.array_split(by_size, number)
     padded = np.empty_like(counts)
     for parts in batches:
         padded[parts] = counts[parts].max(axis=0)
@@ -304,8 +316,8 @@ def places_in_memory(nodes: PartNodes, batches: Batching) -> Places:
     m_I, width = batches.padded[:, 0], batches.padded.sum(axis=1)
     # The nodes B of a front come after all its nodes I, padded ones included.
     row = np.where(nodes.outer, m_I[nodes.part] + nodes.rank, nodes.rank)
-    own, all_nodes, front = (_before(sizes, order) for sizes in (m_I, width, width**2))
-    return Places(row, width, own, all_nodes, front)
+    sizes = np.ones_like(width), m_I, width, width**2
+    return Places(row, width, *(_before(size, order) for size in sizes))
 
 
 def _before(sizes: Ints, order: Ints) -> Ints:
@@ -334,6 +346,11 @@ class Fronts:
         Place of each node in the padded order, in which all else is numbered.
     size : int
         Number of slots. Slot 0 stands for padded nodes B: zeros are read and written there.
+    subtrees : int
+        How many there are.
+    shared : int
+        Number of slots that all subtrees write to: slot 0 and the nodes of larger parts. They are
+        the first ones, and after them each subtree but the first has a copy of its own of all.
     levels : list of Level
         Those of the tree, the whole mesh first.
 
@@ -366,13 +383,19 @@ class Fronts:
         first = tree.node_depth[node_i] >= tree.node_depth[node_j]
         entry_depth = np.where(first, tree.node_depth[node_i], -1)
         self.n_entries = len(node_j)
+        cut = int(np.clip(tree.depth - SMALL, 0, MOST_CUT))  # depth of the subtrees' largest parts
+        self.subtrees, self.shared = 2**cut, 0
         self.slot = np.zeros(n, dtype=np.int64)
         self.size = 1
         self.levels: list[Level] = []
         above = None
         for depth in range(tree.depth + 1):
+            if depth == cut:
+                self.shared = self.size
+                self.size *= self.subtrees
             nodes = nodes_of_parts(tree, cells, depth)
-            batches = batches_of_similar_size(nodes.counts)
+            subtrees = self.subtrees if depth >= cut else 1
+            batches = batches_of_similar_size(nodes.counts, subtrees)
             places = places_in_memory(nodes, batches)
 
             own = ~nodes.outer
@@ -383,15 +406,29 @@ class Fronts:
             entries = np.flatnonzero(entry_depth == depth)
             part = tree.node_part[node_i[entries]]
             i, j = (places.row[nodes.find(part, node[entries])] for node in (node_i, node_j))
+            place = places.entry(part, i, j)
+            order = np.argsort(place)
+            shared = self.shared if subtrees > 1 else 0
             level = Level(
-                _batches(nodes, batches, places, self.slot, first_slot, above),
-                int((places.width**2).sum()),
-                entries,
-                places.entry(part, i, j),
+                _batches(nodes, batches, places, self.slot, first_slot, above, subtrees, shared),
+                _compact(entries[order]),
+                _compact(place[order]),
                 _padding(nodes, batches, places),
             )
             self.levels.append(level)
             above = nodes, places
+
+    @property
+    def top(self) -> list[Level]:
+        """The levels of the parts that are larger than the subtrees."""
+        return self.levels[: self.subtrees.bit_length() - 1]
+
+    def below(self, subtree: int) -> list[Level]:
+        """The levels of a subtree."""
+        return [
+            level._replace(batches=[b for b in level.batches if b.subtree == subtree])
+            for level in self.levels[len(self.top) :]
+        ]
 
     @property
     def n_stored(self) -> int:
@@ -420,20 +457,22 @@ def _batches(
     slot: Ints,
     first_slot: Ints,
     above: tuple[PartNodes, Places] | None,
+    subtrees: int,
+    shared: int,
 ) -> list[Batch]:
     """Batches of a depth; `above` are nodes and places of the next smaller depth."""
-    # Slots, and rows and columns in larger fronts, of all nodes of all fronts. Padded nodes keep
-    # the zeros: S is zero in their rows and columns, and slot 0 is theirs.
+    # Slots, and rows in larger fronts, of all nodes of all fronts. Padded nodes keep the zeros: S
+    # is zero in their rows and columns, and slot 0 is theirs.
     at = places.nodes[nodes.part] + places.row
-    slots, rows, columns = np.zeros((3, int(places.width.sum())), dtype=np.int64)
+    slots, rows = np.zeros((2, int(places.width.sum())), dtype=np.int64)
     slots[at] = slot[nodes.node]
+    number = np.zeros(len(batches.padded), dtype=np.int64)
     if above is not None:
         # All nodes B of part q are nodes of part q // 2, of which q is a half.
-        outer = nodes.outer
-        whole, at_outer = nodes.part[outer] // 2, at[outer]
         larger_nodes, larger = above
-        columns[at_outer] = larger.row[larger_nodes.find(whole, nodes.node[outer])]
-        rows[at_outer] = larger.entry(whole, columns[at_outer], np.zeros_like(whole))
+        whole = nodes.part[nodes.outer] // 2
+        rows[at[nodes.outer]] = larger.row[larger_nodes.find(whole, nodes.node[nodes.outer])]
+        number = larger.number[np.arange(len(number)) // 2]
 
     found = []
     for parts in batches.parts:
@@ -442,16 +481,19 @@ def _batches(
         own = _stretch(first_slot[q], count * m_I)
         flat = _stretch(places.nodes[q], count * m)
         front_slots = slots[flat].reshape(count, m)
+        subtree = int(q) * subtrees // len(batches.padded)
+        front_slots[front_slots < shared] += subtree * shared
         # Padded nodes I have slots of their own: so the slots of a batch are a slice.
         front_slots[:, :m_I] = np.arange(own.start, own.stop).reshape(count, m_I)
         found.append(
             Batch(
+                subtree,
                 own,
-                front_slots,
-                front_slots[:, m_I:].ravel(),
-                _stretch(places.front[q], count * m * m),
-                rows[flat].reshape(count, m)[:, m_I:],
-                columns[flat].reshape(count, m)[:, m_I:],
+                _compact(front_slots),
+                int(places.number[q]),
+                int(places.front[q]),
+                number[parts],
+                _compact(rows[flat].reshape(count, m)[:, m_I:]),
             )
         )
     return found
@@ -465,6 +507,11 @@ def _padding(nodes: PartNodes, batches: Batching, places: Places) -> Ints:
         front, i = np.nonzero(row >= nodes.counts[parts, :1])
         padding.append(places.entry(parts[front], i, i))
     return np.concatenate(padding)
+
+
+def _compact(numbers: Ints) -> Ints:
+    """In half the memory, if they are small enough for that."""
+    return numbers.astype(np.int32 if numbers.max(initial=0) < 2**31 else np.int64)
 
 
 def _stretch(start: int, length: int) -> slice:

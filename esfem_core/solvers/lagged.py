@@ -108,14 +108,14 @@ class LaggedSolver:
             If the norm of a right-hand side is not finite.
         """
         b = right_hand_side(square(A), b)
-        rows, guesses = _rows(b), _rows(real_array("guess", guess, b.shape))
+        rows = _rows(b)
         with np.errstate(over="ignore"):
             squares = np.vecdot(rows, rows)
         if not np.isfinite(squares).all():
             raise FloatingPointError(
                 "b must be finite, but the right-hand side of a linear system is not finite"
             )
-        x = np.where(squares[:, None] == 0, 0.0, guesses)
+        x = np.where(squares[:, None] == 0, 0.0, _rows(real_array("guess", guess, b.shape)))
         allowed = tolerance(A, squares, self.rtol)
 
         converged = False

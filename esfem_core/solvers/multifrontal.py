@@ -9,22 +9,46 @@ and the nodes B around it, is::
     S = F_BB - F_BI W    handed on to the part that this one is a half of
 
 Then A x = b is solved by y_B -= W^T y_I from the smallest parts upwards, starting from y = b, and
-x_I = F_II^{-1} y_I - W x_B downwards.
+x_I = F_II^{-1} y_I - W x_B downwards. Subtrees do not wait for each other: on the way up each adds
+to its own copy of the nodes of larger parts, and these are added up in the order of the subtrees.
 """
 
+from bisect import bisect_left
 from contextlib import suppress
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, object_of, shown
-from esfem_core.solvers.fronts import Batch, Fronts
+from esfem_core.solvers.fronts import Batch, Fronts, Level
 from esfem_core.solvers.systems import right_hand_side, square
+from esfem_core.solvers.threads import pieces, side_by_side
 
 __all__ = ["BlockFactor", "factorise"]
 
 PRECISIONS = (np.dtype(np.float32), np.dtype(np.float64))
+LARGE = 10**5  # entries of right-hand sides that several threads put into place
+RUN = 2**21  # entries of the fronts that are eliminated at a time
+
+
+class Run(NamedTuple):
+    """Some successive fronts of a batch."""
+
+    batch: Batch
+    fronts: slice
+
+    @property
+    def own(self) -> slice:
+        """Slots of their nodes I."""
+        first, k = self.batch.own.start, self.batch.slots.shape[1] - self.batch.rows.shape[1]
+        return slice(first + k * self.fronts.start, first + k * self.fronts.stop)
+
+
+Step = tuple[Run, Array]  # the block [F_II^{-1}  -W] of some fronts
+Rest = tuple[Run, Array]  # their S
 
 
 def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "BlockFactor":
@@ -107,43 +131,82 @@ def _factorise(A: csr_array, fronts: Fronts, dtype: np.dtype) -> "BlockFactor":
             "the matrix of a linear system must be positive definite and finite, but its largest "
             f"entry is {scale}"
         )
-    blocks = []
-    # Where a depth hands S on: the memory of the next smaller one. The whole hands on nothing.
-    sizes_above = [0, *(level.size for level in fronts.levels[:-1])]
+    numbers = A.data, scale, dtype
     # What overflows here is no solution: whoever checks the residual will see it.
     with np.errstate(over="ignore", invalid="ignore"):
-        memory = np.zeros(fronts.levels[-1].size)
-        for level, size_above in zip(reversed(fronts.levels), reversed(sizes_above), strict=True):
-            memory[level.places] += A.data[level.entries] / scale
-            memory[level.padding] = 1.0
-            above = np.zeros(size_above)
-            for batch in level.batches:
-                blocks.append((batch, _eliminate(batch, memory, above, dtype)))
-            memory = above
-    return BlockFactor(fronts, scale, blocks)
+        done = side_by_side(
+            lambda n: _eliminate_all(fronts.below(n), [], *numbers), range(fronts.subtrees)
+        )
+        subtrees = [steps for steps, _ in done]
+        top, _ = _eliminate_all(fronts.top, [rest for _, left in done for rest in left], *numbers)
+    return BlockFactor(fronts, scale, subtrees, top)
 
 
-def _eliminate(batch: Batch, memory: Array, above: Array, dtype: np.dtype) -> Array:
-    """Eliminate the nodes I of a batch of fronts: return [F_II^{-1}  -W], and hand on S."""
-    count, m = batch.slots.shape
-    k = m - batch.rows.shape[1]
-    F = memory[batch.memory].reshape(count, m, m)
+def _eliminate_all(
+    levels: list[Level], left: list[Rest], data: Array, scale: float, dtype: np.dtype
+) -> tuple[list[Step], list[Rest]]:
+    """Eliminate the nodes of a part of the tree, from the smallest parts up; also what is left."""
+    steps = []
+    for level in reversed(levels):
+        runs = _runs(level)
+        rests = []
+        for run in runs:
+            block, S = _eliminate(_assembled(level, left, data, scale, run), run, dtype)
+            steps.append((run, block))
+            rests.append((run, S))
+        left = rests
+    return steps, left
+
+
+def _runs(level: Level) -> list[Run]:
+    """Divide the batches of a depth into runs of about 16 MiB at most, if that is not one front."""
+    runs = []
+    for batch in level.batches:
+        count, m = batch.slots.shape
+        runs += [Run(batch, fronts) for fronts in pieces(count, 1 + RUN // (m * m + 1))]
+    return runs
+
+
+def _eliminate(F: Array, run: Run, dtype: np.dtype) -> tuple[Array, Array]:
+    """Eliminate the nodes I of some fronts: [F_II^{-1}  -W], and S."""
+    count, m, _ = F.shape
+    k = m - run.batch.rows.shape[1]
     inverse = np.linalg.inv(F[:, :k, :k])
     W = inverse @ F[:, :k, k:]
-    S = F[:, k:, k:] - F[:, :k, k:].swapaxes(1, 2) @ W
-    # Several fronts may add to one entry.
-    np.add.at(above, (batch.rows[:, :, None] + batch.columns[:, None]).ravel(), S.ravel())
     block = np.empty((count, k, m), dtype=dtype)
     block[:, :, :k] = inverse
     block[:, :, k:] = -W
-    return block
+    return block, F[:, k:, k:] - F[:, :k, k:].swapaxes(1, 2) @ W
+
+
+def _assembled(level: Level, left: list[Rest], data: Array, scale: float, run: Run) -> Array:
+    """Fronts with what is left of their halves, and the entries of A that come in with them."""
+    (batch, fronts), m = run, run.batch.slots.shape[1]
+    count = fronts.stop - fronts.start
+    F = np.zeros(count * m * m)
+    for half, S in left:
+        number = half.batch.above[half.fronts] - (batch.number + fronts.start)
+        own = np.flatnonzero((number >= 0) & (number < count))
+        rows = half.batch.rows[half.fronts][own]
+        place = m * (m * number[own, None] + rows)
+        # Several halves may add to one entry.
+        np.add.at(F, (place[:, :, None] + rows[:, None]).ravel(), S[own].ravel())
+    start = batch.place + fronts.start * m * m
+    here = slice(*(bisect_left(level.places, start + n) for n in (0, len(F))))
+    F[level.places[here] - start] += data[level.entries[here]] / scale
+    padding = slice(*(bisect_left(level.padding, start + n) for n in (0, len(F))))
+    F[level.padding[padding] - start] = 1.0
+    return F.reshape(count, m, m)
 
 
 class BlockFactor:
     """A factorised matrix; made by :func:`factorise`."""
 
-    def __init__(self, fronts: Fronts, scale: float, blocks: list[tuple[Batch, Array]]) -> None:
-        self._fronts, self._scale, self._blocks = fronts, scale, blocks
+    def __init__(
+        self, fronts: Fronts, scale: float, subtrees: list[list[Step]], top: list[Step]
+    ) -> None:
+        self._fronts, self._scale, self._subtrees, self._top = fronts, scale, subtrees, top
+        self._blocks = [block for steps in (*subtrees, top) for _, block in steps]
 
     def solve(self, b: Array) -> Array:
         """Solve for the columns of `b`.
@@ -168,18 +231,31 @@ class BlockFactor:
         # Whatever its size, a right-hand side is well within the range of single precision.
         size = abs(rows).max(axis=1, keepdims=True)
         size[size == 0] = 1.0
-        y = np.zeros((len(rows), self._fronts.size), dtype=self._blocks[0][1].dtype)
-        for y_row, row, factor in zip(y, rows, 1 / size, strict=True):
-            y_row[self._fronts.slot] = factor * row
-        for batch, block in self._blocks:
-            _upwards(y, batch, block)
-        for batch, block in reversed(self._blocks):
-            _downwards(y, batch, block)
-        x: Array = y.take(self._fronts.slot, axis=1) * (size / self._scale)
+        y = np.zeros((len(rows), self._fronts.size), dtype=self._blocks[0].dtype)
+        x = np.empty(rows.shape)
+        slot, worth = self._fronts.slot, rows.size > LARGE
+
+        def put(i: int) -> None:
+            y[i, slot] = 1 / size[i] * rows[i]
+
+        def take(i: int) -> None:
+            np.multiply(y[i].take(slot), size[i] / self._scale, out=x[i])
+
+        side_by_side(put, range(len(y)), worth)
+        n, shared = self._fronts.subtrees, self._fronts.shared
+        copies = y[:, : n * shared].reshape(len(y), n, shared)
+        side_by_side(partial(_upwards, y), self._subtrees)
+        for i in range(1, n):
+            copies[:, 0] += copies[:, i]
+        _upwards(y, self._top)
+        _downwards(y, self._top)
+        copies[:, 1:] = copies[:, :1]
+        side_by_side(partial(_downwards, y), self._subtrees)
+        side_by_side(take, range(len(y)), worth)
         return x.T.reshape(b.shape)
 
     def __repr__(self) -> str:
-        n, blocks = len(self._fronts.slot), [block for _, block in self._blocks]
+        n, blocks = len(self._fronts.slot), self._blocks
         entries, n_bytes = sum(b.size for b in blocks), sum(b.nbytes for b in blocks)
         return (
             f"BlockFactor(unknowns={n}, levels={len(self._fronts.levels)}, entries per unknown="
@@ -187,20 +263,23 @@ class BlockFactor:
         )
 
 
-def _upwards(y: Array, batch: Batch, block: Array) -> None:
-    """y_B -= W^T y_I."""
-    count, k, _ = block.shape
-    y_I = y[:, batch.own].reshape(len(y), count, k).swapaxes(0, 1)
-    change = (y_I @ block[:, :, k:]).swapaxes(0, 1)
-    for row, values in zip(y, change, strict=True):
-        np.add.at(row, batch.outer, values.ravel())
+def _upwards(y: Array, steps: list[Step]) -> None:
+    """y_B -= W^T y_I, from the smallest parts up."""
+    for run, block in steps:
+        count, k, _ = block.shape
+        y_I = y[:, run.own].reshape(len(y), count, k).swapaxes(0, 1)
+        change = (y_I @ block[:, :, k:]).swapaxes(0, 1)
+        outer = run.batch.slots[run.fronts, k:].astype(np.int64).ravel()
+        for row, values in zip(y, change, strict=True):
+            np.add.at(row, outer, values.ravel())
 
 
-def _downwards(y: Array, batch: Batch, block: Array) -> None:
-    """x_I = F_II^{-1} y_I - W x_B."""
-    count, k, _ = block.shape
-    front = y.take(batch.slots, axis=1).swapaxes(0, 1)[..., None]
-    # One right-hand side after the other: a product of a transposed matrix with few columns at once
-    # is slower, except with AVX-512.
-    x_I = block[:, None] @ front
-    y[:, batch.own] = x_I.swapaxes(0, 1).reshape(len(y), count * k)
+def _downwards(y: Array, steps: list[Step]) -> None:
+    """x_I = F_II^{-1} y_I - W x_B, from the largest parts down."""
+    for run, block in reversed(steps):
+        count, k, _ = block.shape
+        front = y.take(run.batch.slots[run.fronts], axis=1).swapaxes(0, 1)[..., None]
+        # One right-hand side after the other: a product of a transposed matrix with few columns at
+        # once is slower, except with AVX-512.
+        x_I = block[:, None] @ front
+        y[:, run.own] = x_I.swapaxes(0, 1).reshape(len(y), count * k)

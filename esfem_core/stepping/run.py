@@ -3,6 +3,7 @@
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from functools import partial
 from importlib.util import find_spec
 from typing import Literal, get_args
@@ -22,7 +23,16 @@ from esfem_core.checks import (
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Regularised
 from esfem_core.problems import Problem
-from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, cholmod, factorise, superlu
+from esfem_core.solvers import (
+    MOST_THREADS,
+    DirectSolver,
+    LaggedSolver,
+    Solver,
+    cholmod,
+    factorise,
+    superlu,
+    using_threads,
+)
 from esfem_core.stepping.agreement import (
     check_exact,
     check_motion_of_start,
@@ -61,6 +71,7 @@ def evolve(
     statistics: Statistics | None = None,
     save: str | os.PathLike[str] | None = None,
     every: int = 50,
+    threads: int | None = None,
 ) -> Iterator[State]:
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
@@ -142,6 +153,10 @@ def evolve(
         on from there.
     every : int
         Steps from save to save.
+    threads : int, optional
+        How many share the work of a step; the states are the same to the last bit. Default: what
+        :func:`esfem_core.solvers.threads.thread_count` says, one for each processor as a rule, but
+        1 in worker processes and where ``OMP_NUM_THREADS=1``. Small meshes keep to one.
 
     Yields
     ------
@@ -191,6 +206,8 @@ def evolve(
     if statistics is not None:
         object_of("statistics", statistics, Statistics, "or None")
     every = whole_number("every", every, 1)
+    if threads is not None:
+        threads = whole_number("threads", threads, 1, MOST_THREADS)
     file = None if save is None else output_path("save", save, (".npz",))
     make_solver = _solver_factory(space, solver)
     given = _checked_start(space, problem, start, order, step)
@@ -210,7 +227,20 @@ def evolve(
     check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
-    return states if file is None else saving(states, file, every, order)
+    if file is not None:
+        states = saving(states, file, every, order)
+    return states if threads is None else _on_threads(states, threads)
+
+
+def _on_threads(states: Iterator[State], threads: int) -> Iterator[State]:
+    """The same states; only while one is computed, so many threads share the work."""
+    with closing(states):  # type: ignore[type-var]
+        while True:
+            with using_threads(threads):
+                state = next(states, None)
+            if state is None:
+                return
+            yield state
 
 
 def _run(

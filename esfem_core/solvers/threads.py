@@ -1,0 +1,160 @@
+"""Several threads at work on one thing, with the same bits for every number of them.
+
+The work is divided into pieces that do not depend on the number of threads. Each piece writes to a
+place of its own, and what has to be summed over pieces is summed afterwards, in their order. NumPy
+and SciPy let other threads go on while they compute, so that pieces of a tenth of a millisecond or
+more are worth it; shorter ones should not be made.
+"""
+
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from functools import cache
+from multiprocessing import parent_process
+from threading import current_thread, main_thread
+from typing import TypeVar
+
+from esfem_core.checks import whole_number
+
+__all__ = ["MOST_THREADS", "pieces", "side_by_side", "thread_count", "using_threads"]
+
+MOST_THREADS = 256
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_chosen: ContextVar[int | None] = ContextVar("chosen", default=None)
+
+
+def thread_count() -> int:
+    """How many threads share the work.
+
+    In browsers 1; elsewhere as many as :func:`using_threads` says; else as the environment variable
+    ``OMP_NUM_THREADS`` says; else 1 in worker processes and in threads other than the main one,
+    where the processors are taken; else one for each processor that this process may use.
+
+    Examples
+    --------
+    >>> with using_threads(3):
+    ...     thread_count()
+    3
+    """
+    if sys.platform == "emscripten":
+        return 1
+    chosen = _chosen.get()
+    if chosen is not None:
+        return chosen
+    said = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    if said.isdecimal() and int(said) > 0:
+        return min(int(said), MOST_THREADS)
+    if parent_process() is not None or current_thread() is not main_thread():
+        return 1
+    if hasattr(os, "sched_getaffinity"):
+        return min(len(os.sched_getaffinity(0)), MOST_THREADS)
+    return min(os.cpu_count() or 1, MOST_THREADS)
+
+
+@contextmanager
+def using_threads(number: int | None) -> Iterator[None]:
+    """Let so many threads share the work inside a ``with``.
+
+    Parameters
+    ----------
+    number : int or None
+        1 to 256; None changes nothing.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is another.
+    """
+    if number is not None:
+        number = whole_number("threads", number, 1, MOST_THREADS)
+    token = _chosen.set(_chosen.get() if number is None else number)
+    try:
+        yield
+    finally:
+        _chosen.reset(token)
+
+
+def side_by_side(
+    function: Callable[[Item], Result], items: Iterable[Item], worth: bool = True
+) -> list[Result]:
+    """Call a function for each item, on as many threads as :func:`thread_count` says.
+
+    Parameters
+    ----------
+    function : callable
+        Its calls must not depend on each other. Inside it all goes on one thread.
+    items : iterable
+    worth : bool
+        False if all of it is too short to be shared.
+
+    Returns
+    -------
+    list
+        The results in the order of the items.
+
+    Raises
+    ------
+    Exception
+        What the first item that fails raises.
+
+    Examples
+    --------
+    >>> with using_threads(2):
+    ...     side_by_side(lambda piece: sum(range(10)[piece]), pieces(10, 4))
+    [6, 22, 17]
+    """
+    todo = deque(enumerate(items))
+    number = min(thread_count(), len(todo)) if worth else 1
+    if number < 2:
+        return [function(item) for _, item in todo]
+    results: dict[int, Result] = {}
+    failures: dict[int, BaseException] = {}
+
+    def work() -> None:
+        _chosen.set(1)
+        while todo:
+            try:
+                i, item = todo.popleft()
+            except IndexError:  # another thread was faster
+                return
+            try:
+                results[i] = function(item)
+            except BaseException as error:
+                failures[i] = error
+                todo.clear()
+
+    others = [_pool(number - 1).submit(copy_context().run, work) for _ in range(number - 1)]
+    copy_context().run(work)
+    for other in others:
+        if not other.cancel():  # it has begun
+            other.result()
+    if failures:
+        raise failures[min(failures)]
+    return [results[i] for i in sorted(results)]
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="esfem_core")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has none of these threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def pieces(length: int, size: int) -> list[slice]:
+    """Slices of at most `size` numbers that cover 0 to `length`.
+
+    Examples
+    --------
+    >>> pieces(10, 4)
+    [slice(0, 4, None), slice(4, 8, None), slice(8, 10, None)]
+    """
+    return [slice(i, min(i + size, length)) for i in range(0, length, size)]
