@@ -344,7 +344,7 @@ def other_parts(space):
     values = space.evaluate(space.nodes)
     # Entries of the factor are read on the way up, but for the inverses, and on the way down.
     inverses = sum(
-        (batch.own.stop - batch.own.start) ** 2 / len(batch.slots)
+        (batch.own.stop - batch.own.start) ** 2 / batch.shape[0]
         for level in space.fronts.levels
         for batch in level.batches
     )

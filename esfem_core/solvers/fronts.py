@@ -71,8 +71,8 @@ Fronts(nodes=5, levels=2, fronts=3, largest front=4 x 4, entries of a factor per
 ([3, 1, 2, 5, 6], 7)
 >>> level = fronts.levels[1]
 >>> batch = level.batches[0]
->>> batch.slots.tolist()
-[[3, 4, 1, 2], [5, 6, 1, 2]]
+>>> batch.own, batch.outer.tolist()  # slots of the nodes I, and of the nodes B
+(slice(3, 7, None), [[1, 2], [1, 2]])
 >>> level.padding.tolist()  # the dot's diagonal entry, set to 1: its front stays regular
 [5]
 
@@ -125,8 +125,8 @@ class Batch(NamedTuple):
         Its number.
     own : slice
         Slots of the nodes I, front by front.
-    slots : (F, m) int array
-        Slots of all the nodes, I before B.
+    outer : (F, m - m_I) int array
+        Slots of the nodes B.
     number, place : int
         Of the first front among those of its depth, and where it stands in their memory.
     above : (F,) int array
@@ -137,11 +137,18 @@ class Batch(NamedTuple):
 
     subtree: int
     own: slice
-    slots: Ints
+    outer: Ints
     number: int
     place: int
     above: Ints
     rows: Ints
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """F, m_I and m."""
+        count, m_B = self.outer.shape
+        m_I = (self.own.stop - self.own.start) // count
+        return count, m_I, m_I + m_B
 
 
 class Level(NamedTuple):
@@ -434,15 +441,15 @@ class Fronts:
     def n_stored(self) -> int:
         """Number of entries that a factor stores: the rows of the nodes I of all fronts."""
         batches = [batch for level in self.levels for batch in level.batches]
-        return sum(batch.slots.shape[1] * (batch.own.stop - batch.own.start) for batch in batches)
+        return sum(count * m_I * m for count, m_I, m in (batch.shape for batch in batches))
 
     @property
     def largest(self) -> int:
         """Rows of the largest front."""
-        return max(int(b.slots.shape[1]) for level in self.levels for b in level.batches)
+        return max(batch.shape[2] for level in self.levels for batch in level.batches)
 
     def __repr__(self) -> str:
-        fronts = sum(batch.slots.shape[0] for level in self.levels for batch in level.batches)
+        fronts = sum(batch.shape[0] for level in self.levels for batch in level.batches)
         return (
             f"Fronts(nodes={len(self.slot)}, levels={len(self.levels)}, fronts={fronts}, largest "
             f"front={self.largest} x {self.largest}, entries of a factor per node="
@@ -480,16 +487,14 @@ def _batches(
         m_I, m = int(batches.padded[q, 0]), int(places.width[q])
         own = _stretch(first_slot[q], count * m_I)
         flat = _stretch(places.nodes[q], count * m)
-        front_slots = slots[flat].reshape(count, m)
+        outer = slots[flat].reshape(count, m)[:, m_I:].copy()
         subtree = int(q) * subtrees // len(batches.padded)
-        front_slots[front_slots < shared] += subtree * shared
-        # Padded nodes I have slots of their own: so the slots of a batch are a slice.
-        front_slots[:, :m_I] = np.arange(own.start, own.stop).reshape(count, m_I)
+        outer[outer < shared] += subtree * shared
         found.append(
             Batch(
                 subtree,
                 own,
-                _compact(front_slots),
+                outer,
                 int(places.number[q]),
                 int(places.front[q]),
                 number[parts],

@@ -35,16 +35,11 @@ RUN = 2**21  # entries of the fronts that are eliminated at a time
 
 
 class Run(NamedTuple):
-    """Some successive fronts of a batch."""
+    """Some successive fronts of a batch, and the slots of their nodes I."""
 
     batch: Batch
     fronts: slice
-
-    @property
-    def own(self) -> slice:
-        """Slots of their nodes I."""
-        first, k = self.batch.own.start, self.batch.slots.shape[1] - self.batch.rows.shape[1]
-        return slice(first + k * self.fronts.start, first + k * self.fronts.stop)
+    own: slice
 
 
 Step = tuple[Run, Array]  # the block [F_II^{-1}  -W] of some fronts
@@ -162,8 +157,10 @@ def _runs(level: Level) -> list[Run]:
     """Divide the batches of a depth into runs of about 16 MiB at most, if that is not one front."""
     runs = []
     for batch in level.batches:
-        count, m = batch.slots.shape
-        runs += [Run(batch, fronts) for fronts in pieces(count, 1 + RUN // (m * m + 1))]
+        count, k, m = batch.shape
+        for fronts in pieces(count, 1 + RUN // (m * m + 1)):
+            own = slice(*(batch.own.start + k * i for i in (fronts.start, fronts.stop)))
+            runs.append(Run(batch, fronts, own))
     return runs
 
 
@@ -181,7 +178,7 @@ def _eliminate(F: Array, run: Run, dtype: np.dtype) -> tuple[Array, Array]:
 
 def _assembled(level: Level, left: list[Rest], data: Array, scale: float, run: Run) -> Array:
     """Fronts with what is left of their halves, and the entries of A that come in with them."""
-    (batch, fronts), m = run, run.batch.slots.shape[1]
+    batch, fronts, m = run.batch, run.fronts, run.batch.shape[2]
     count = fronts.stop - fronts.start
     F = np.zeros(count * m * m)
     for half, S in left:
@@ -229,27 +226,29 @@ class BlockFactor:
         b = right_hand_side(len(self._fronts.slot), b)
         rows = b.reshape(len(b), -1).T
         # Whatever its size, a right-hand side is well within the range of single precision.
-        size = abs(rows).max(axis=1, keepdims=True)
+        size = abs(rows).max(axis=1)
         size[size == 0] = 1.0
         y = np.zeros((len(rows), self._fronts.size), dtype=self._blocks[0].dtype)
         x = np.empty(rows.shape)
         slot, worth = self._fronts.slot, rows.size > LARGE
 
         def put(i: int) -> None:
-            y[i, slot] = 1 / size[i] * rows[i]
+            row = y[i]
+            row[slot] = 1 / size[i] * rows[i]
 
         def take(i: int) -> None:
             np.multiply(y[i].take(slot), size[i] / self._scale, out=x[i])
 
         side_by_side(put, range(len(y)), worth)
-        n, shared = self._fronts.subtrees, self._fronts.shared
-        copies = y[:, : n * shared].reshape(len(y), n, shared)
         side_by_side(partial(_upwards, y), self._subtrees)
-        for i in range(1, n):
-            copies[:, 0] += copies[:, i]
-        _upwards(y, self._top)
-        _downwards(y, self._top)
-        copies[:, 1:] = copies[:, :1]
+        if self._top:
+            n, shared = self._fronts.subtrees, self._fronts.shared
+            copies = y[:, : n * shared].reshape(len(y), n, shared)
+            for i in range(1, n):
+                copies[:, 0] += copies[:, i]
+            _upwards(y, self._top)
+            _downwards(y, self._top)
+            copies[:, 1:] = copies[:, :1]
         side_by_side(partial(_downwards, y), self._subtrees)
         side_by_side(take, range(len(y)), worth)
         return x.T.reshape(b.shape)
@@ -269,7 +268,7 @@ def _upwards(y: Array, steps: list[Step]) -> None:
         count, k, _ = block.shape
         y_I = y[:, run.own].reshape(len(y), count, k).swapaxes(0, 1)
         change = (y_I @ block[:, :, k:]).swapaxes(0, 1)
-        outer = run.batch.slots[run.fronts, k:].astype(np.int64).ravel()
+        outer = run.batch.outer[run.fronts].ravel()
         for row, values in zip(y, change, strict=True):
             np.add.at(row, outer, values.ravel())
 
@@ -277,9 +276,11 @@ def _upwards(y: Array, steps: list[Step]) -> None:
 def _downwards(y: Array, steps: list[Step]) -> None:
     """x_I = F_II^{-1} y_I - W x_B, from the largest parts down."""
     for run, block in reversed(steps):
-        count, k, _ = block.shape
-        front = y.take(run.batch.slots[run.fronts], axis=1).swapaxes(0, 1)[..., None]
+        count, k, m = block.shape
+        front = np.empty((len(y), count, m), dtype=y.dtype)
+        front[..., :k] = y[:, run.own].reshape(len(y), count, k)
+        front[..., k:] = y.take(run.batch.outer[run.fronts], axis=1)
         # One right-hand side after the other: a product of a transposed matrix with few columns at
         # once is slower, except with AVX-512.
-        x_I = block[:, None] @ front
+        x_I = block[:, None] @ front.swapaxes(0, 1)[..., None]
         y[:, run.own] = x_I.swapaxes(0, 1).reshape(len(y), count * k)

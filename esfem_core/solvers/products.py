@@ -33,6 +33,9 @@ def times(A: csr_array, x: Array) -> Array:
     array([[1., 2.],
            [0., 3.]])
     """
+    if not _worth(A, x):
+        product: Array = A @ x
+        return product
     columns = times_rows(A, np.ascontiguousarray(x.reshape(len(x), -1).T)).T
     return np.ascontiguousarray(columns).reshape(-1, *x.shape[1:])
 
@@ -46,22 +49,28 @@ def times_rows(A: csr_array, x: Array) -> Array:
     array([[2., 3.]])
     """
     products = np.empty((len(x), A.shape[0]))
-    worth = len(x) * A.nnz > LEAST and thread_count() > 1
-    size = ROWS if worth else A.shape[0]  # the sums of rows do not depend on it
-    parts = [(rows, _some_rows(A, rows)) for rows in pieces(A.shape[0], size)]
+    if not _worth(A, x):
+        for i, row in enumerate(x):
+            products[i] = A @ row
+        return products
+    # The sums of rows do not depend on how many are in a part.
+    parts = [(rows, _some_rows(A, rows)) for rows in pieces(A.shape[0], ROWS)]
 
     def multiply(place: tuple[int, tuple[slice, csr_array]]) -> None:
         i, (rows, part) = place
         products[i, rows] = part @ x[i]
 
-    side_by_side(multiply, product(range(len(x)), parts), worth)
+    side_by_side(multiply, product(range(len(x)), parts))
     return products
+
+
+def _worth(A: csr_array, x: Array) -> bool:
+    """Whether the product with the rows or columns of x is long enough to be shared."""
+    return x.size // A.shape[1] * A.nnz > LEAST and thread_count() > 1
 
 
 def _some_rows(A: csr_array, rows: slice) -> csr_array:
     """Rows of A, whose entries are not copied."""
-    if rows.stop - rows.start == A.shape[0]:
-        return A
     ends = A.indptr[rows.start : rows.stop + 1]
     entries = slice(ends[0], ends[-1])
     part = csr_array((len(ends) - 1, A.shape[1]))

@@ -110,10 +110,10 @@ def side_by_side(
     ...     side_by_side(lambda piece: sum(range(10)[piece]), pieces(10, 4))
     [6, 22, 17]
     """
+    if not worth or thread_count() == 1:
+        return [function(item) for item in items]
     todo = deque(enumerate(items))
-    number = min(thread_count(), len(todo)) if worth else 1
-    if number < 2:
-        return [function(item) for _, item in todo]
+    number = min(thread_count(), len(todo))
     results: dict[int, Result] = {}
     failures: dict[int, BaseException] = {}
 

@@ -50,6 +50,7 @@ class History:
     ) -> None:
         _, order, _ = method
         self.d = delta(order)
+        self.normal: Array | None = None  # of the last extrapolated surface
         newest_first = list(reversed(states))
         self.t = newest_first[0].t
         self.x = deque((s.x for s in newest_first), maxlen=order)
@@ -132,19 +133,16 @@ class Scheme:
         """Step from p states through the given (number, time) pairs."""
         method = (self.mass, order, step)
         history = History(self.space, self.problem, method, states)
-        normal: Array | None = None
         for n, t in times:
             with naming_the_step(n, t):
-                state, normal = self._step(history, method, n, t, normal)
+                state = self._step(history, method, n, t)
                 guard.check_surface(state.x)
                 guard.check_functions(state.x, state.fields)
             history.push(state)
             yield state
 
-    def _step(
-        self, history: History, method: Method, n: int, t: float, normal: Array | None
-    ) -> tuple[State, Array | None]:
-        """One step, [N] (2.19)-(2.21); also the normals of its surface, if they were computed."""
+    def _step(self, history: History, method: Method, n: int, t: float) -> State:
+        """One step, [N] (2.19)-(2.21)."""
         d, step = history.d, method[2]
         fields = {name: extrapolated(values) for name, values in history.functions.items()}
         law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
@@ -155,7 +153,7 @@ class Scheme:
         x_tilde = extrapolated(history.x) if given is None else given
         at = Surface(self.space, x_tilde, fields, t, expected=self._used)
         if given is None:
-            normal = _not_turned(at, normal)
+            history.normal = _not_turned(at, history.normal)
         w = law.slip(at) if hasattr(law, "slip") else None
 
         if given is None and "x" in extra:
@@ -183,10 +181,9 @@ class Scheme:
         self._used = self._used | at.used
         for array in (x, *functions.values(), *products.values()):
             array.setflags(write=False)  # the law may keep v: a copy goes to the state
-        state = State.of_checked(
+        return State.of_checked(
             t, x, v, space=self.space, fields=functions, products=products, method=method
         )
-        return state, normal
 
     def _diffuse(
         self, species: Mapping[str, Species], levels: "_Levels", M: csr_array, x: Array

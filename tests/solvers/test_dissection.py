@@ -88,7 +88,7 @@ def test_no_shape_of_elements_makes_large_fronts(shape):
     space = ec.SurfaceSpace(SHAPES[shape])
     sphere = ec.SurfaceSpace(ec.sphere("icosahedron", 4))
     n, fronts = len(space.nodes), space.fronts
-    largest = max(batch.slots.shape[1] for level in fronts.levels for batch in level.batches)
+    largest = max(batch.shape[2] for level in fronts.levels for batch in level.batches)
     assert largest < 4 * np.sqrt(n)
     assert fronts.n_stored / n < 1.25 * sphere.fronts.n_stored / len(sphere.nodes)
 
