@@ -60,9 +60,6 @@ NUMBERS = {
         ("triangles made anew: smallest angle ", 14.7, 0.5),
         ("triangles made anew: .* area ", 21.667, 1e-2),
         ("amount changes by ", 0, 1e-12),
-        ("ellipsoid kept: ends at t = ", 0.4, 1e-9),
-        ("ellipsoid made anew: t = ", 0.43, 1e-9),
-        ("ellipsoid made anew: .* volume ", 0.0271, 3e-4),
     ],
     "restart": [
         ("saved up to t = ", 0.6, 0),
