@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("elements", "solvers", "laws", "stepping", "theory")
-NEEDED = ("esfem_core", "tests", "pyproject.toml")  # to run the tests of a room
+NEEDED = ("esfem_core", "tests", "examples", "pyproject.toml")  # to run the tests of a room
 MEMORY = 6 << 30  # bytes that the tests of a mutant may take
 LONGEST = 3600  # seconds of a processor for the tests of a room
 NO_TESTS = 5  # of pytest
