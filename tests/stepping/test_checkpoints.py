@@ -280,6 +280,11 @@ def rename(header, arrays):
     header["states"][0]["fields"][0] = "other"
 
 
+def rename_in_all(header, arrays):
+    for state in header["states"]:
+        state["fields"][0] = "other"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -290,7 +295,8 @@ def rename(header, arrays):
         (mirror, "oriented inwards"),
         (spoil, r"states\[1\]\.x must be finite, but .*\[3, 1\] is nan"),
         (swap, "order of time"),
-        (rename, "belongs to no function|must have the same functions"),
+        (rename, r"states\[0\]\.products\[.u.\] belongs to no function"),
+        (rename_in_all, "belongs to no function"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(tmp_path, change, message):
