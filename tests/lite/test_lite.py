@@ -190,7 +190,8 @@ def test_a_chapter_runs_to_its_end(chapter, reader):
     ] == []
     assert reader.bytes / 1e6 == pytest.approx(said, rel=0.1)
     figures = reader.tab.locator(".esfem-animation")
-    assert figures.count() == sum("surface_animation(" in c["source"] for c in cells)
+    drawing = re.compile(r"^(surface_animation|ec\.animate)\(", re.M)
+    assert figures.count() == sum(len(drawing.findall(c["source"])) for c in cells)
     for figure in figures.all():
         reader.come_near(figure)
         slider, clock = figure.locator("input[type=range]"), figure.locator("output")
