@@ -79,7 +79,7 @@ def differences(one: Path, other: Path) -> tuple[int, list[str]]:
     count, found = 0, []
     names = {path.relative_to(folder) for folder in (one, other) for path in folder.rglob("*.html")}
     for name in sorted(names):
-        if name.stem in TIMED or "_static" in name.parts:
+        if name.stem in TIMED or {"_static", "_modules"} & set(name.parts):
             continue
         if not ((one / name).exists() and (other / name).exists()):
             found.append(f"{name}: only in one of them")
