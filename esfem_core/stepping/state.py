@@ -25,7 +25,6 @@ __all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
 
 Mass = Literal["updated", "extrapolated", "reassembled"]
 Method = tuple[str, int, float]
-NAMES = ("t", "x", "v", "space", "fields", "products", "method")  # of the attributes of a state
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -101,24 +100,15 @@ class State:
         if space is not None:
             n = len(object_of("space", space, SurfaceSpace, "or None").nodes)
             x = real_array("x", x, (n, 3))
-        values = {
-            "t": number("t", t),
-            "x": _frozen(x),
-            "v": None if v is None else _frozen(real_array("v", v, (n, 3))),
-            "space": space,
-            "fields": MappingProxyType(
-                {name: _frozen(real_array(name, w, (n, "..."))) for name, w in given.items()}
-            ),
-            "products": MappingProxyType(
-                {
-                    name: _frozen(real_array(f"products[{name!r}]", w, (n, "...")))
-                    for name, w in kept.items()
-                }
-            ),
-            "method": None if method is None else _checked_method(method),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self._keep(
+            number("t", t),
+            x,
+            None if v is None else real_array("v", v, (n, 3)),
+            space,
+            {name: real_array(name, w, (n, "...")) for name, w in given.items()},
+            {name: real_array(f"products[{name!r}]", w, (n, "...")) for name, w in kept.items()},
+            None if method is None else _checked_method(method),
+        )
 
     @classmethod
     def of_checked(
@@ -134,14 +124,31 @@ class State:
     ) -> "State":
         """A state of real arrays that fit, such as a step has made; nothing is looked at again."""
         state = object.__new__(cls)
-        functions, vectors = (
-            MappingProxyType({name: _frozen(w) for name, w in arrays.items()})
-            for arrays in (fields, products)
-        )
-        values = (t, _frozen(x), _frozen(v), space, functions, vectors, method)
-        for name, value in zip(NAMES, values, strict=True):
-            object.__setattr__(state, name, value)
+        state._keep(t, x, v, space, fields, products, method)
         return state
+
+    def _keep(
+        self,
+        t: float,
+        x: Array,
+        v: Array | None,
+        space: SurfaceSpace | None,
+        fields: Mapping[str, Array],
+        products: Mapping[str, Array],
+        method: Method | None,
+    ) -> None:
+        """Take values as attributes; nobody can write to the arrays any more."""
+        frozen = {
+            "t": t,
+            "x": _frozen(x),
+            "v": None if v is None else _frozen(v),
+            "space": space,
+            "fields": MappingProxyType({name: _frozen(w) for name, w in fields.items()}),
+            "products": MappingProxyType({name: _frozen(w) for name, w in products.items()}),
+            "method": method,
+        }
+        for name, value in frozen.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         names = ", ".join(self.fields) or "none"
