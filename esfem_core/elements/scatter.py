@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from itertools import product
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -12,6 +13,7 @@ from esfem_core.solvers import pieces, side_by_side, times_rows
 __all__ = ["NodalSum", "SparsePattern", "combination", "keep_freed_memory", "with_data"]
 
 PIECE = 2**16  # entries of a matrix that are worked on at a time
+MANY = 10**7  # entries of a matrix whose places take half the memory, at some cost
 LEAST = 5 * 10**5  # entries of a matrix that several threads compute from those of two others
 
 
@@ -74,7 +76,8 @@ class SparsePattern:
             first[sums[:, c]] = i
         alone = first == last
         # Runs of sums with equally many terms: the processor predicts their loops.
-        place = np.argsort(np.lexsort((counts, np.where(alone, first, len(slices)))))
+        place = np.empty_like(first)
+        place[np.lexsort((counts, np.where(alone, first, len(slices))))] = np.arange(len(keys))
         self._shared = int(np.count_nonzero(alone))  # places from here on are shared
         ones = np.ones(max(sums[:, c].size for c in slices))  # for all of them
         self._parts = [self._part(place[sums[:, c]], ones) for c in slices]
@@ -90,7 +93,8 @@ class SparsePattern:
         )
         self.pattern.sort_indices()
         self.pattern.has_canonical_format = True
-        self.pattern.data = self.pattern.data.astype(np.int32)
+        if len(self.pattern.data) > MANY:
+            self.pattern.data = self.pattern.data.astype(np.int32)
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
@@ -125,7 +129,7 @@ class SparsePattern:
             for out, values in zip(sums, entries(i), strict=True):
                 chunk_sums = gather @ values.ravel()
                 out[own] = chunk_sums[:n_own]
-                to_shared.append(chunk_sums[n_own:])
+                to_shared.append(chunk_sums[n_own:].copy())  # the rest stays in the cache
             return to_shared
 
         parts = side_by_side(sum_chunk, range(len(self._parts)))
@@ -136,12 +140,12 @@ class SparsePattern:
 
         data = [np.empty(len(self.pattern.data)) for _ in sums]
 
-        def place(piece: slice) -> None:
-            where = self.pattern.data[piece].astype(np.intp)
-            for out, values in zip(data, sums, strict=True):
-                out[piece] = values.take(where)
+        def place(part: tuple[int, slice]) -> None:
+            i, piece = part
+            where = self.pattern.data[piece].astype(np.intp, copy=False)
+            sums[i].take(where, out=data[i][piece], mode="clip")  # other modes fill a copy first
 
-        side_by_side(place, pieces(len(self.pattern.data), PIECE))
+        side_by_side(place, product(range(count), pieces(len(self.pattern.data), PIECE)))
         return [with_data(self.pattern, values) for values in data]
 
 

@@ -414,7 +414,7 @@ class Fronts:
             part = tree.node_part[node_i[entries]]
             i, j = (places.row[nodes.find(part, node[entries])] for node in (node_i, node_j))
             place = places.entry(part, i, j)
-            order = np.argsort(place)
+            order = np.argsort(place, kind="stable")
             shared = self.shared if subtrees > 1 else 0
             level = Level(
                 _batches(nodes, batches, places, self.slot, first_slot, above, subtrees, shared),

@@ -142,7 +142,7 @@ class Guard:
 
     def _triangles(self, x: Array) -> tuple[Array, Array, Array]:
         """Normals of twice the area, (3, T), volumes of components, sums of squared sides, (T,)."""
-        a, b, c = x.T.take(self._corners, axis=1).swapaxes(0, 1)
+        a, b, c = np.ascontiguousarray(x.T).take(self._corners, axis=1).swapaxes(0, 1)
         p, q = b - a, c - a
         normal = np.empty_like(p)
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
