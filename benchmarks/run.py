@@ -17,10 +17,12 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
+import beyond
 import dolfinx_peer
 import ngsolve
 import ngsolve_peer
 import numpy as np
+import shapes
 import textbook
 from timing import in_turn, machine, summary
 
@@ -385,6 +387,8 @@ SUITE = {
     "step_fast": lambda: step("cholmod", "sparsecholesky"),
     "step_lagged_peer": lambda: step("lagged", "lagged"),
     "implicit_euler": implicit_euler,
+    "beyond": lambda: [row for r in (4, 5) for row in beyond.costs(sphere(r))],
+    "shapes": lambda: list(shapes.costs()),
     "scaling": scaling,
     "factorisations": factorisations,
     "breakdown": breakdown,
