@@ -10,7 +10,7 @@ PEERS  := .venv/.peers
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv wheel book lite test full fuzz mutants check-book check-firefox check-lite lint format \
+.PHONY: help venv wheel book lite test test-long full fuzz mutants check-book check-firefox check-lite lint format \
         clean test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
@@ -50,11 +50,14 @@ $(PEERS): benchmarks/requirements.txt $(STAMP)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -r $< && touch $@ || echo "no NGSolve"
 
 # What a chapter states and does not hold fails here; a reader is told and can go on.
-book test compare-builds: export ESFEM_STRICT = 1
+book test test-long compare-builds: export ESFEM_STRICT = 1
 
-test: $(STAMP) $(PEERS) ## solver, doctests and all notebooks
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 \
-	    --nbval-lax --nbval-current-env tests esfem_core book
+test: $(STAMP) $(PEERS) ## the solver and its examples, in some minutes
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations 10 -m "not slow" tests esfem_core
+
+test-long: $(STAMP) ## all notebooks, cell by cell, and what takes long of the solver
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations 10 --nbval-lax --nbval-current-env book
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations 10 -m slow tests
 
 lab: $(STAMP) ## the chapters in JupyterLab
 	$(BIN)/python -m pip install -q --disable-pip-version-check "jupyterlab>=4"

@@ -4,6 +4,7 @@ import pytest
 from readers import chapters, run
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the kernel's client
 @pytest.mark.parametrize("number", ["03", "15"])
 def test_a_chapter_runs_alone_with_another_degree_and_step(number, monkeypatch):

@@ -37,6 +37,7 @@ GROWING = ec.problems.growing_sphere(alpha=1, beta=1, delta=1, u0=4)
 SHRINKING = ec.problems.shrinking_sphere(alpha=1, beta=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [1, 2, 3])
 @pytest.mark.parametrize("problem", [GROWING, SHRINKING], ids=["growing", "shrinking"])
 def test_spheres_against_the_exact_solution(problem, p):
@@ -58,6 +59,7 @@ def fine_run():
     return {p: final(ec.evolve(SMALL, p, 5, 1 / 1280, 1.0, **ALIKE)) for p in (GROWING, SHRINKING)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "p", "first"),
     [
@@ -73,6 +75,7 @@ def test_spheres_against_a_fine_run(problem, p, first, fine_run):
         np.testing.assert_allclose(table.orders(name), p, atol=0.45, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("p", "order"), [(1, 0), (2, 1), (3, 2), (4, 3)])
 def test_reassembled_mass_as_printed_loses_an_order(p, order, fine_run):
     """[N] (7.2) mixes M(x~^n) with M(x^{n-j}); their difference is divided by tau."""
@@ -82,6 +85,7 @@ def test_reassembled_mass_as_printed_loses_an_order(p, order, fine_run):
         assert table.orders("u_l2")[-1] == pytest.approx(expected, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_iterative_solver_changes_no_table():
     """Errors with a residual of 1e-11 agree with those of direct solves to one percent."""
     space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)

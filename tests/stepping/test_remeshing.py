@@ -171,6 +171,7 @@ def sphere_space(finer):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make_problem", "make_space", "h", "finer"),
     [(moving_torus, torus_space, 0.21, 1.5), (moving_ellipsoid, sphere_space, 0.3, 2)],
@@ -322,6 +323,7 @@ def test_the_recipe_keeps_angles_where_a_whirl_makes_triangles_thin():
     assert last.volume == pytest.approx(ec.measure(kept).volume, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::esfem_core.EvolutionWarning")
 def test_a_shrinking_surface_gets_new_triangles_where_its_tips_crowd():
     """An ellipsoid under mean curvature flow: without them an element turns over at t = 0.4."""
@@ -354,6 +356,7 @@ def test_a_needle_that_grows_keeps_its_angles():
     assert ec.measure(states[-1]).amount == pytest.approx(ec.measure(states[0]).amount, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_scan_with_ears_that_it_does_not_resolve_gets_new_triangles():
     scan = bunny()
     space = ec.SurfaceSpace(scan)

@@ -11,6 +11,7 @@ import esfem_core as ec
 distributed = pytest.importorskip("distributed")
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore"),  # of the cluster's own, about what is killed
     pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX"),
 ]
