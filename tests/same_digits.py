@@ -3,8 +3,17 @@
 ``python tests/same_digits.py one/html two/html`` reads the measured values of all claims, which the
 pages carry in full precision, and the numbers in the printed outputs. They agree if they differ by
 no more than 1e-9 of the larger one or of 1 (an error is a difference of solutions of this size),
-and printed ones by a unit of their last digit more. Times, and the pages that are about them,
-differ.
+and printed ones by a unit of their last digit more.
+
+Observed orders of convergence, known by the word "order" in the name of a measurement, agree if
+they do so to 1e-6. Where an error e changes by d, its order log(e'/e)/log 2 changes by d/(e log 2).
+In chapter 1 the sides of Green's formula differ by 3e-8: a single rounding of one of them, 9e-16,
+is 5e-8 in the order, although this error itself agrees far better than to 1e-9. On coarser meshes,
+whose errors are large enough to give the order to 1e-9, it is not yet what it tends to, 6.3 and not
+6. A claim shows four digits of an order, which is a thousand times coarser than 1e-6.
+
+Times differ: the pages that are about them, columns that are headed "run time", and lines in which
+a number has a unit of time or something is "times as long".
 """
 
 import math
@@ -13,14 +22,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from bs4 import BeautifulSoup
+from bs4 import BeautifulSoup, Tag
 
 from esfem_core.companion.claims import read_html
 
-TOLERANCE = 1e-9
+TOLERANCE, OF_ORDERS = 1e-9, 1e-6
 TIMED = {"performance", "status"}
 NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
-TIME = re.compile(r"\d ?(?:µs|ms|s|min|h|seconds|minutes|hours)\b|\btimes? ")
+TIME = re.compile(r"\d ?(?:µs|ms|s|min|h|seconds|minutes|hours)\b|\btimes as long\b")
+ORDER = re.compile(r"\borders?\b(?! conditions| that can be read)")
 
 
 def claims(page: str) -> Iterator[tuple[str, float]]:
@@ -37,9 +47,20 @@ def printed(page: str) -> Iterator[tuple[str, str]]:
     for output in soup.select("div.cell_output"):
         for hidden in output.select("script, style, svg, [data-claim]"):
             hidden.decompose()
+        for table in output.select("table"):
+            leave_out_run_times(table)
         for line in output.get_text("\n").splitlines():
             if not TIME.search(line):
                 yield from ((line.strip(), found) for found in NUMBER.findall(line))
+
+
+def leave_out_run_times(table: Tag) -> None:
+    """Empty the columns of a table that are headed so."""
+    heads = [head.get_text() for head in table.select("thead th")]
+    for row in table.select("tbody tr"):
+        for head, cell in zip(heads, row.find_all(["th", "td"]), strict=False):
+            if "run time" in head:
+                cell.clear()
 
 
 def unit(text: str) -> float:
@@ -60,7 +81,7 @@ def value(text: str) -> float:
     return float(text.replace(",", "").replace("−", "-"))
 
 
-def agree(one: float, other: float, slack: float = 0.0) -> bool:
+def agree(one: float, other: float, slack: float = 0.0, *, tolerance: float = TOLERANCE) -> bool:
     """Whether two numbers are the same for a reader.
 
     Examples
@@ -71,7 +92,7 @@ def agree(one: float, other: float, slack: float = 0.0) -> bool:
     if math.isnan(one) or math.isnan(other):
         return math.isnan(one) and math.isnan(other)
     size = max(1.0, abs(one), abs(other))
-    return one == other or abs(one - other) <= TOLERANCE * size + slack * (1 + 1e-9)
+    return one == other or abs(one - other) <= tolerance * size + slack * (1 + 1e-9)
 
 
 def differences(one: Path, other: Path) -> tuple[int, list[str]]:
@@ -92,7 +113,8 @@ def differences(one: Path, other: Path) -> tuple[int, list[str]]:
             continue
         count += len(measured[0]) + len(texts[0])
         for (what, a), (_, b) in zip(*measured, strict=True):
-            if not agree(a, b):
+            tolerance = OF_ORDERS if ORDER.search(what.partition(": ")[2]) else TOLERANCE
+            if not agree(a, b, tolerance=tolerance):
                 found.append(f"{name}: {what}: {a!r} and {b!r}")
         for (line, a), (_, b) in zip(*texts, strict=True):
             if not agree(value(a), value(b), unit(a)):

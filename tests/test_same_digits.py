@@ -5,6 +5,7 @@ import same_digits
 from bs4 import BeautifulSoup
 
 from esfem_core.companion.claims import claim, measure
+from esfem_core.tables import html_table
 
 
 def page(value=0.25, printed="0.125", time="3 ms"):
@@ -38,6 +39,28 @@ def compared(tmp_path):
 def test_other_numbers_are_named(compared, change, message):
     _, found = compared(page(), page(**change))
     assert found == [message]
+
+
+def test_an_order_may_differ_by_what_rounding_of_the_errors_makes_of_it(compared):
+    def orders(name, value):
+        return claim("N-2.22-delta", measure(name, value, at_least=2.9))._repr_html_()
+
+    for name in ("k = 4: order of the gap", "p − observed orders"):
+        assert compared(orders(name, 6.06375748), orders(name, 6.06375753)) == (1, [])
+        assert compared(orders(name, 6.06375), orders(name, 6.06376))[1]
+    gap = "gap, against order conditions"
+    assert compared(orders(gap, 6.06375748), orders(gap, 6.06375753))[1]
+
+
+def test_columns_of_run_times_are_left_out(compared):
+    def table(amount, seconds):
+        shown = html_table(["steps", "run time", "amount"], [["180", seconds, amount]])
+        return f'<div class="cell_output">{shown._repr_html_()}</div>'
+
+    assert compared(table("4.25", "15.0"), table("4.25", "13.3")) == (2, [])
+    assert compared(table("4.25", "15.0"), table("4.28", "13.3"))[1] == [
+        "page.html: 4.25: 4.25 and 4.28"
+    ]
 
 
 def test_rounding_and_times_are_no_difference(compared):
