@@ -306,6 +306,22 @@ def test_the_spatial_terms_of_the_proof_add_up():
     assert all(np.abs(r).max() > 2e-7 for r in [*terms, spurious])
 
 
+def test_the_term_of_the_test_function_is_an_integral_over_the_slip_of_lifted_particles():
+    """On a growing sphere they move with v = x/R; with v + w as the velocity the slip is -w."""
+    omega, c, R = np.array([1.0, 2.0, 2.0]), np.array([1.0, -1.0, 3.0]), 1.3
+    exact = Exact(lambda p, t: p * (1 + t), lambda p, t: p, lambda x, t: x @ c)
+    field = Field(
+        surface=lambda t: Ellipsoid((1 + t,) * 3),
+        v=lambda x, t: x / (1 + t) + np.cross(omega, x),
+        f=lambda x, t: x[..., 0],
+    )
+    space, problem = space_of(0, 4), ec.Problem(u0=lambda x: x @ c, exact=exact)
+    term = spatial_terms_u(space, problem, field, R - 1)["(6.4), test function"]
+    # With u = c . x and the coordinates as test functions, of which the gradients are the axes:
+    expected = -4 * np.pi / 3 * R**4 * np.cross(omega, c)  # the integral of -u w over the sphere
+    np.testing.assert_allclose(term @ (R * space.nodes), expected, rtol=1e-3)
+
+
 def test_fields_of_another_shape_are_refused():
     problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
     space, field = space_of(0), field_of(problem)
