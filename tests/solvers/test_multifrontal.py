@@ -58,6 +58,19 @@ def test_the_size_of_the_parts_does_not_matter(part_size):
     np.testing.assert_allclose(A @ x, b, rtol=0, atol=1e-12)
 
 
+def test_fronts_eliminated_one_at_a_time_give_the_same(monkeypatch):
+    """Also where the first one is padded and the next one, just behind it, is not."""
+    ring = ec.torus(1.0, 0.3, 8, 8)  # as many triangles as the ball, but two nodes less
+    ring.apply_translation([5, 0, 0])
+    space = ec.SurfaceSpace(trimesh.util.concatenate([ec.sphere("octahedron", 2), ring]))
+    A, b = system(space), np.random.default_rng(0).standard_normal(len(space.nodes))
+    fronts = Fronts(dissect(space.cells, space.nodes, 128), space.cells, A)
+    assert [batch.shape for batch in fronts.levels[1].batches] == [(2, 66, 66)]
+    together = factorise(A, fronts, np.float64).solve(b)
+    monkeypatch.setattr("esfem_core.solvers.multifrontal.RUN", 1)
+    np.testing.assert_allclose(factorise(A, fronts, np.float64).solve(b), together, atol=1e-13)
+
+
 @pytest.mark.parametrize("size", [1e-200, 1e-30, 1e30, 1e200])
 def test_sizes_beyond_single_precision(size):
     """The factor is linear in A and in every right-hand side, however small or large."""
