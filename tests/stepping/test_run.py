@@ -58,6 +58,19 @@ def test_every_step_solves_the_printed_equations(p):
         assert max(residuals(SPACE, problem, states[: n + 1], p)) < 1e-11
 
 
+def test_perturbations_are_right_hand_sides_of_the_printed_equations():
+    """Translations and constants solve them, so r_v is M v, and r_u M times the rate of u."""
+    M, _ = SPACE.mass_stiffness(SPACE.nodes)
+    v, r_x, rate = np.array([1.0, -2.0, 0.5]), np.array([0.25, 0.0, 1.0]), 3.0
+    ones = np.ones((len(SPACE.nodes), 1))
+    perturbation = (rate * M @ ones[:, 0], M @ ones * v, ones * r_x)
+    options = {"solver": "direct", "perturbation": lambda n: perturbation}
+    *_, state = ec.evolve(SPACE, ec.Problem(1.0, alpha=0.7, beta=0.0), 1, 0.1, 0.2, **options)
+    np.testing.assert_allclose(state.v, ones * v, rtol=1e-12)
+    np.testing.assert_allclose(state.x, SPACE.nodes + 0.2 * (v + r_x), atol=1e-13)
+    np.testing.assert_allclose(state.u, 1 + 0.2 * rate, rtol=1e-12)
+
+
 @pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("solver", ["lagged", "direct"])
 def test_amounts_are_kept_without_sources_starting_states_included(p, solver):
