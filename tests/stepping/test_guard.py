@@ -87,6 +87,8 @@ class TestSurfaces:
         flat[a] = (flat[b] + flat[c]) / 2
         with pytest.raises(DegenerateElementError, match=r"element 11 near \[.*\] is degenerate"):
             guard().check_surface(flat)
+        with pytest.raises(DegenerateElementError, match=r"element \d+ near \[.*\] is degenerate"):
+            guard().check_surface(X * [1, 0, 0])  # all of them at once
         for value in (np.nan, np.inf):
             x = X.copy()
             x[5, 2] = value
