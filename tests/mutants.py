@@ -170,9 +170,19 @@ def copied(folder: Path) -> Path:
 
 
 def tests(folder: Path, file: Path, seconds: int) -> int:
-    """Run the tests of a file's room, its own first, for so many seconds of a processor each."""
+    """Run the tests of a file's room, at first its own and those that import it.
+
+    They may take so many seconds of a processor, and so may the others.
+    """
     _, room, name = file.parts
-    own = [path for path in (f"tests/{room}/test_{name}", str(file)) if (folder / path).exists()]
+    module = ".".join(file.with_suffix("").parts)
+    importing = [
+        str(path.relative_to(folder))
+        for path in sorted((folder / "tests" / room).glob("*.py"))
+        if module in path.read_text("utf8")
+    ]
+    names = dict.fromkeys([f"tests/{room}/test_{name}", str(file), *importing])
+    own = [path for path in names if (folder / path).exists()]
     rest = [f"tests/{room}", f"esfem_core/{room}", *(f"--ignore={path}" for path in own)]
     command = [sys.executable, "-B", "-P", "-m", "pytest", "-q", "-x", "-m", "not slow"]
     command += ["-p", "no:cacheprovider", "--assert=plain"]
