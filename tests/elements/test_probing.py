@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
 from esfem_core.elements import tabulate
-from esfem_core.elements.probing import closest_points, probe
+from esfem_core.elements.probing import _step, closest_points, probe
 from esfem_core.study import observed_orders
 
 DEGREES = range(1, 6)
@@ -204,6 +204,22 @@ def test_chunks_do_not_matter(chunk, monkeypatch):
     parts = closest_points(space, space.nodes, points)
     np.testing.assert_array_equal(parts.cell, whole.cell)
     np.testing.assert_allclose(parts.points, whole.points, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("convex", [True, False])
+def test_a_step_of_the_search_expects_what_a_quadratic_function_does(convex):
+    """Its slope, and by how much it is lower where the step ends."""
+    rng = np.random.default_rng(3)
+    local, g = rng.dirichlet(np.ones(3), 200)[:, 1:], rng.normal(size=(2, 200))
+    root, S = rng.normal(size=(2, 2, 2, 200))
+    G, S = np.einsum("ikn,jkn->ijn", root, root), 0 * S if convex else S + S.swapaxes(0, 1)
+    target, slope, decrease = _step(local, g, G, S)
+    step = (target - local).T
+    assert (target >= 0).all()
+    assert (target.sum(axis=1) <= 1 + 1e-15).all()
+    np.testing.assert_allclose(slope, np.sum(g * step, axis=0), atol=1e-13)
+    change = slope + np.einsum("in,ijn,jn->n", step, G + S, step) / 2
+    np.testing.assert_allclose(decrease, -change, atol=1e-13)
 
 
 def test_a_surface_that_has_collapsed_to_a_point():
