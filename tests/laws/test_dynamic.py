@@ -106,3 +106,6 @@ def test_refused():
     problem = ec.Problem(law=ec.laws.Dynamic(lambda x: x[:, 0]))
     with pytest.raises(ValueError, match=r"v0 must have shape \(162, 3\), got \(162,\)"):
         ec.evolve(SPACE, problem, 1, 0.1, 0.1)
+    problem = ec.Problem(law=ec.laws.Dynamic([[0.1, 0.2, 0.3]]))  # of one node
+    with pytest.raises(ValueError, match=r"v0 must have shape \(162, 3\), got \(1, 3\)"):
+        ec.evolve(SPACE, problem, 1, 0.1, 0.1)
