@@ -92,7 +92,8 @@ class Guard:
         lowest = int(np.argmin(shape))
         place = f"element {lowest} near {self._place(x, lowest)}"
         if not shape[lowest] > FLATTEST:
-            what = "is degenerate" if np.isfinite(shape[lowest]) else "is not finite"
+            finite = np.isfinite(normal[:, lowest]).all()
+            what = "is degenerate" if finite else "is not finite"
             raise DegenerateElementError(f"{place} {what}", lowest)
         # A neck closes within a step, and its triangles come out on the other side of its axis;
         # since they are not opposite each other, some turn by a little less than a right angle.
