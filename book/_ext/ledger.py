@@ -191,6 +191,22 @@ class LedgerRuns(LedgerDirective):
         return [table(titles, lines, "esfem-runs")]
 
 
+class StoredCount(LedgerDirective):
+    """Say how many of the stored results the present code has made, and in what time."""
+
+    def run(self) -> list[nodes.Node]:
+        """Set the sentence."""
+        count = current = 0
+        seconds = 0.0
+        for experiment in EXPERIMENTS:
+            for row in campaign.read(campaign.DATA / f"{experiment.name}.jsonl"):
+                count, current = count + 1, current + campaign.is_current(experiment, row)
+                seconds += row.provenance["seconds"]
+        which = f"All {count}" if current == count else f"{current} of the {count}"
+        made = f"{which} stored results were made by the code of this book, "
+        return [nodes.paragraph("", f"{made}all together in {seconds / 3600:.1f} processor hours.")]
+
+
 class ErrataTable(LedgerDirective):
     """List the slips that a check of the book tells apart."""
 
@@ -303,6 +319,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     """Register the directives."""
     app.add_node(LedgerPart)
     app.add_directive("ledger-summary", LedgerSummary)
+    app.add_directive("stored-count", StoredCount)
     app.add_directive("ledger-table", LedgerTable)
     app.add_directive("ledger-runs", LedgerRuns)
     app.add_directive("errata-table", ErrataTable)

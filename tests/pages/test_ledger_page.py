@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -100,6 +101,17 @@ def test_the_page_counts_the_rows_that_this_code_has_made(ledger):
     assert shown == {}
     links = [link["href"].split("#claim-")[1] for link in ledger.select(".esfem-runs a")]
     assert set(links) == {anchor(row["id"]) for row in ROWS if row.get("runs")}
+
+
+def test_the_front_page_adds_these_rows_up(ledger):
+    """With "All 800" for "800 of the 800"."""
+    shown = re.search(r"(All|\d+ of the) (\d+) stored results", soup("book/intro.html").text)
+    lines = [
+        line.find_all("td")[2].text.split(" of ") for line in ledger.select(".esfem-runs tr")[1:]
+    ]
+    current, count = (sum(int(line[i]) for line in lines) for i in (0, 1))
+    assert shown.group(1) == ("All" if current == count else f"{current} of the")
+    assert shown.group(2) == str(count)
 
 
 def test_errata_are_checks_that_fail_as_printed(measured):
