@@ -73,7 +73,8 @@ def test_the_help_names_every_experiment_and_the_folder_where_the_book_reads(cap
 
 def test_stale_cases_are_counted_renewed_and_their_changes_listed(tmp_path, capsys):
     row = STORED["nick_theorem"][0]
-    wrong = campaign.Row(row.parameters, row.results | {"x": 1.0}, row.provenance)
+    by_other_code = row.provenance | {"esfem_core": "0.1.0, source 000000000000"}
+    wrong = campaign.Row(row.parameters, row.results | {"x": 1.0}, by_other_code)
     path = tmp_path / "nick_theorem.jsonl"
     path.write_text(json.dumps(vars(wrong)) + "\n")
     arguments = ["nick_theorem", "--stale", "--jobs", "1", "--folder", str(tmp_path)]
