@@ -1,11 +1,11 @@
 """What a run may do besides the plain steps of one function, in units of a plain step."""
 
 import tempfile
-import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from timing import seconds, summary
 
 import esfem_core as ec
 
@@ -75,20 +75,11 @@ def _seconds(task, times):
     """Seconds of one call, after another one that fills the caches if there are several."""
     if times > 1:
         task()
-    start = time.perf_counter()
-    for _ in range(times):
-        task()
-    return (time.perf_counter() - start) / times
+    return sum(seconds(task) for _ in range(times)) / times
 
 
 def _row(space, name, plain, other):
     """Medians, and the ratio in steps with its quartiles."""
-    low, middle, high = np.quantile(other / plain, [0.25, 0.5, 0.75])
-    return {
-        "name": name,
-        "nodes": len(space.nodes),
-        "step": float(np.median(plain)),
-        "seconds": float(np.median(other)),
-        "ratio": float(middle),
-        "quartiles": [float(low), float(high)],
-    }
+    found = summary(other, plain)
+    row = {"name": name, "nodes": len(space.nodes), "step": found.pop("ours")}
+    return row | {"seconds": found.pop("peer")} | found

@@ -24,7 +24,7 @@ import ngsolve_peer
 import numpy as np
 import shapes
 import textbook
-from timing import in_turn, machine, summary
+from timing import in_turn, machine, seconds, summary
 
 import esfem_core as ec
 from esfem_core.elements import SurfaceSpace
@@ -369,13 +369,6 @@ def other_parts(space):
         4 * entries + 2 * 3 * 12 * n,
         6 * entries,
     )
-
-
-def seconds(function, *arguments):
-    """Seconds for one call."""
-    start = time.perf_counter()
-    function(*arguments)
-    return time.perf_counter() - start
 
 
 SUITE = {

@@ -8,6 +8,13 @@ from threadpoolctl import threadpool_info
 from esfem_core.study.environment import environment
 
 
+def seconds(function, *arguments):
+    """Seconds for one call."""
+    start = time.perf_counter()
+    function(*arguments)
+    return time.perf_counter() - start
+
+
 def in_turn(peer, ours, repeats):
     """Time two functions alternately, after one run of each that is not counted.
 
@@ -18,10 +25,7 @@ def in_turn(peer, ours, repeats):
     """
     times = np.empty((repeats + 1, 2))
     for row in times:
-        for i, function in enumerate((peer, ours)):
-            start = time.perf_counter()
-            function()
-            row[i] = time.perf_counter() - start
+        row[:] = seconds(peer), seconds(ours)
     return summary(*times[1:].T)
 
 

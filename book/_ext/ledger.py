@@ -174,8 +174,7 @@ class LedgerRuns(LedgerDirective):
         rows = self.rows()
         lines = []
         for experiment in EXPERIMENTS:
-            stored = campaign.read(campaign.DATA / f"{experiment.name}.jsonl")
-            current = sum(campaign.is_current(experiment, row) for row in stored)
+            stored, current = stored_rows(experiment)
             dates = sorted(str(row.provenance["date"]) for row in stored)
             resting = nodes.paragraph()
             for row in rows:
@@ -199,9 +198,9 @@ class StoredCount(LedgerDirective):
         count = current = 0
         seconds = 0.0
         for experiment in EXPERIMENTS:
-            for row in campaign.read(campaign.DATA / f"{experiment.name}.jsonl"):
-                count, current = count + 1, current + campaign.is_current(experiment, row)
-                seconds += row.provenance["seconds"]
+            stored, by_this_code = stored_rows(experiment)
+            count, current = count + len(stored), current + by_this_code
+            seconds += sum(row.provenance["seconds"] for row in stored)
         which = f"All {count}" if current == count else f"{current} of the {count}"
         made = f"{which} stored results were made by the code of this book, "
         return [nodes.paragraph("", f"{made}all together in {seconds / 3600:.1f} processor hours.")]
@@ -230,6 +229,12 @@ class ErrataTable(LedgerDirective):
                 )
             )
         return [table(["where", "printed", "should be", "check"], rows, "esfem-errata")]
+
+
+def stored_rows(experiment: campaign.Experiment) -> tuple[list[campaign.Row], int]:
+    """Return the stored results of an experiment, and how many the present code has made."""
+    stored = campaign.read(campaign.DATA / f"{experiment.name}.jsonl")
+    return stored, sum(campaign.is_current(experiment, row) for row in stored)
 
 
 def verdict(row: Row, found: Measured) -> str | None:
