@@ -223,7 +223,7 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
             - f(x_*, u_*) \\
         M(x_*) d_v &= K(x_*) v_* + \beta A(x_*) x_* - g(x_*, u_*)
 
-    The first with opposite sign is M r of [LMV] (5.2), the second [N] (6.2).
+    The first is M r of [LMV] (5.2), the second [N] (6.2).
 
     Parameters
     ----------

@@ -6,7 +6,8 @@ A linear functional that is zero for polynomials of degree less than m and looks
 
 with a kernel that belongs to the coefficients alone. From Taylor's formula with the remainder as
 an integral, :math:`\kappa(\theta) = E[(\cdot + \theta)_+^{m-1}]/(m-1)!` at t = 0 for
-:math:`\tau = 1`: a piecewise polynomial with breaks at 0, 1, ..., p. [N] 6.2 and 6.3 and the
+:math:`\tau = 1`: a piecewise polynomial with breaks at 0, 1, ..., p. A quotient that is divided by
+:math:`\tau`, as that of BDF, has :math:`\tau^{m-1}` instead. [N] 6.2 and 6.3 and the
 proof of [LMV] Theorem 5.1 use it to bound defects in time; here it is computed.
 """
 
