@@ -63,7 +63,7 @@ lab: $(STAMP) ## the chapters in JupyterLab
 	$(BIN)/python -m pip install -q --disable-pip-version-check "jupyterlab>=4"
 	$(BIN)/jupyter lab book
 
-full: $(STAMP) ## the papers' own resolution: hours; interrupt at will, start again to go on (STALE=1 renews)
+full: $(STAMP) ## the papers' own resolution, a good hour; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
 
 fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
