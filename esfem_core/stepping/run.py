@@ -123,7 +123,7 @@ def evolve(
         which the last p count, a step apart: the run goes on from the last one. From its own states
         it goes on exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes
         states that are another step apart.
-        Exact values at (p - 1) tau also restart the error of space there: to compare runs with
+        Exact values at (p - 1) tau also restart the spatial error there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
         "lagged": conjugate gradients to a relative residual of 1e-11, preconditioned with a

@@ -1,6 +1,6 @@
 """The orders the theorem promises, measured on coupled problems.
 
-Orders in time against a fine run on the same mesh, or where the error of space is far below;
+Orders in time against a fine run on the same mesh, or where the spatial error is far below;
 orders in space with p = 5 and small steps. Ranges are chosen where the predicted order shows.
 """
 
@@ -41,7 +41,7 @@ SHRINKING = ec.problems.shrinking_sphere(alpha=1, beta=1)
 @pytest.mark.parametrize("p", [1, 2, 3])
 @pytest.mark.parametrize("problem", [GROWING, SHRINKING], ids=["growing", "shrinking"])
 def test_spheres_against_the_exact_solution(problem, p):
-    """Degree 8 elements: the error of space stays below 1e-7."""
+    """Degree 8 elements: the spatial error stays below 1e-7."""
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 8, ec.to_unit_sphere)
     table = time_study(space, problem, p, [1 / 10, 1 / 20, 1 / 40, 1 / 80], 1.0)
     for name in ("x_l2",) if problem is SHRINKING else ("x_l2", "u_l2"):

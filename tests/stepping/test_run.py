@@ -178,7 +178,7 @@ def test_times_and_starting_states():
 
 @pytest.mark.parametrize("p", [2, 3, 4, 5])
 def test_euler_start_has_order_p(p):
-    """Against many small steps on the same mesh, since the error of space would hide it.
+    """Against many small steps on the same mesh, since the spatial error would hide it.
 
     The nodal interpolant of u0 is not quite smooth for the discrete Laplacian, and its stiff part
     costs u a fraction of an order.
