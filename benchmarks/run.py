@@ -4,6 +4,8 @@ Run from the root of the repository, on a machine that does nothing else (about 
 
     pip install -e .[bench]
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/run.py
+
+DOLFINx (Debian: python3-dolfinx) and a loop compiled by Numba are beside it where they are installed.
 """
 
 import argparse
@@ -18,6 +20,7 @@ from itertools import islice
 from pathlib import Path
 
 import beyond
+import compiled_loop
 import dolfinx_peer
 import ngsolve
 import ngsolve_peer
@@ -103,6 +106,25 @@ def assembly_dolfinx(repeats=15):
                 )
             rows.append(row)
             print(row, flush=True)
+    return rows
+
+
+def assembly_compiled(repeats=25):
+    """The same beside a compiled loop over the elements."""
+    reason = compiled_loop.reason_against()
+    if reason:
+        return {"skipped": reason}
+    rows = []
+    for refinements in (4, 5, 6, 7):
+        space = sphere(refinements)
+        x, peer = moved(space), compiled_loop.Peer(space)
+        row = in_turn(partial(peer.assemble, x), partial(space.mass_stiffness, x), repeats)
+        differences = [
+            abs(theirs - ours.data).max() / abs(ours.data).max()
+            for theirs, ours in zip(peer.assemble(x), space.mass_stiffness(x), strict=True)
+        ]
+        rows.append(row | {"nodes": len(x), "difference": float(max(differences))})
+        print(rows[-1], flush=True)
     return rows
 
 
@@ -375,6 +397,7 @@ SUITE = {
     "assembly": assembly,
     "assembly_two_threads": partial(assembly, threads=2),
     "assembly_dolfinx": assembly_dolfinx,
+    "assembly_compiled": assembly_compiled,
     "cores": cores,
     "step": lambda: step("lagged", "sparsecholesky"),
     "step_fast": lambda: step("cholmod", "sparsecholesky"),
