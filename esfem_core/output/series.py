@@ -8,7 +8,9 @@ import base64
 import csv
 import errno
 import io
+import math
 import os
+import re
 import sys
 import zlib
 from collections.abc import Iterable, Mapping
@@ -30,6 +32,7 @@ __all__ = ["SeriesWriter", "TableWriter", "save_series", "save_table"]
 LAGRANGE_TRIANGLE = 69  # VTK_LAGRANGE_TRIANGLE, of any degree
 TYPES = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}
 BYTE_ORDER = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
+NOT_IN_XML = re.compile("[\x00-\x1f\ud800-\udfff\ufffe\uffff]")  # or, as an end of a line, not kept
 FAST = 1  # level of compression: floats hardly shrink, elements do at any level
 
 
@@ -48,7 +51,8 @@ class SeriesWriter:
     Raises
     ------
     TypeError, ValueError
-        If `path` does not end with ".pvd", or `go_on` meets a file that is damaged.
+        If `path` does not end with ".pvd" or has characters that XML cannot hold, or `go_on` meets
+        a file that is damaged, or another one.
     FileNotFoundError
         If the directory does not exist.
 
@@ -69,11 +73,13 @@ class SeriesWriter:
         self, path: str | os.PathLike[str], *, normals: bool = False, go_on: bool = False
     ) -> None:
         self.path = output_path("path", path, (".pvd",))
+        _check_for_xml("the name of path", self.path.stem)
         self._normals = flag("normals", normals)
         flag("go_on", go_on)
         self._written: list[tuple[float, str]] = []
         if go_on and self.path.exists():
             self._written = _entries(self.path)
+        self._number = 0  # of the next file
         self._last: State | None = None
 
     def write(self, state: State) -> None:
@@ -88,19 +94,20 @@ class SeriesWriter:
         Raises
         ------
         TypeError, ValueError
-            If it is no state that knows its space, has other functions than the one before, or an
-            earlier time.
+            If it is no state that knows its space, has other functions than the one before, an
+            earlier time, or a function with a name that XML cannot hold.
         OSError
             If a file cannot be written; the series is what it was.
         """
         arrays = self._point_data(state)
         if self._last is None:
             self._written = [entry for entry in self._written if entry[0] < state.t]
-        name = f"{self.path.stem}_{len(self._written):05d}.vtu"
+            self._number = _first_free(self.path.stem, (name for _, name in self._written))
+        name = f"{self.path.stem}_{self._number:05d}.vtu"
         written = [*self._written, (state.t, name)]
         write_whole(self.path.with_name(name), _vtu(state, arrays))
         write_whole(self.path, _pvd(written))
-        self._written, self._last = written, state
+        self._written, self._number, self._last = written, self._number + 1, state
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
         object_of("state", state, State)
@@ -125,6 +132,8 @@ class SeriesWriter:
         for name in more:
             if name in state.fields:
                 raise ValueError(f"a function must not be called {name!r}: that is written, too")
+        for name in state.fields:
+            _check_for_xml("the name of a function", name)
         return {**state.fields, **more}
 
 
@@ -308,13 +317,36 @@ def _functions(state: State) -> str:
     return ", ".join(f"{n!r} {('N', *w.shape[1:])}" for n, w in state.fields.items()) or "none"
 
 
+def _check_for_xml(name: str, text: str) -> None:
+    """Refuse a name that no reader of the file would get back."""
+    if not text or NOT_IN_XML.search(text):
+        raise ValueError(f"{name} must be of characters that XML can hold, got {text!r}")
+
+
+def _first_free(stem: str, names: Iterable[str]) -> int:
+    """A number larger than those of all these files.
+
+    Examples
+    --------
+    >>> _first_free("run", ["run_00001.vtu", "run_00002.vtu", "other_00007.vtu"])
+    3
+    """
+    found = (re.fullmatch(rf"{re.escape(stem)}_(\d+)\.vtu", name) for name in names)
+    return max((int(number[1]) for number in found if number), default=-1) + 1
+
+
 def _entries(path: Path) -> list[tuple[float, str]]:
     """Times and files of a series."""
     try:
         root = ElementTree.parse(path).getroot()
-        return [(float(e.attrib["timestep"]), e.attrib["file"]) for e in root.iter("DataSet")]
-    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        if root.tag != "VTKFile" or root.get("type") != "Collection":
+            raise ValueError(f"it holds <{root.tag}> and no collection of VTK files")
+        found = [(float(e.attrib["timestep"]), e.attrib["file"]) for e in root.iter("DataSet")]
+        if not all(math.isfinite(t) for t, _ in found):
+            raise ValueError("a time in it is not finite")
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ValueError(f"{str(path)!r} is damaged, or no series: {error}") from error
+    return found
 
 
 def _pvd(entries: Iterable[tuple[float, str]]) -> bytes:

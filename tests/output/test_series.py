@@ -162,6 +162,44 @@ def test_a_series_refuses_what_it_cannot_write(tmp_path):
         ec.save_series(tmp_path / "run.pvd", [first], go_on=True)
 
 
+def test_a_series_that_goes_on_never_takes_the_name_of_a_file_that_it_keeps(tmp_path):
+    one, path = states(1)[0], tmp_path / "run.pvd"
+    run = [ec.State(t, (1 + t) * one.x, None, space=one.space) for t in (0.0, 1.0, 2.0)]
+    ec.save_series(path, run[:2])
+    first = '    <DataSet timestep="0.0" part="0" file="run_00000.vtu"/>\n'
+    path.write_text(path.read_text("utf8").replace(first, ""), "utf8")  # by hand
+    ec.save_series(path, run[2:], go_on=True)
+    assert entries(path) == [(1.0, "run_00001.vtu"), (2.0, "run_00002.vtu")]
+    np.testing.assert_array_equal(meshio.read(tmp_path / "run_00001.vtu").points, run[1].x)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<svg/>",
+        '<VTKFile type="UnstructuredGrid"/>',
+        '<VTKFile type="Collection"><DataSet timestep="nan" file="a.vtu"/></VTKFile>',
+        '<?xml version="1.0" encoding="none"?><VTKFile type="Collection"/>',
+    ],
+)
+def test_a_series_goes_on_from_no_other_file(tmp_path, text):
+    path = tmp_path / "run.pvd"
+    path.write_text(text, "utf8")
+    with pytest.raises(ValueError, match=r"run\.pvd' is damaged, or no series"):
+        ec.save_series(path, states(1), go_on=True)
+    assert path.read_text("utf8") == text
+
+
+@pytest.mark.parametrize("name", ["", "a\nb", "a\0b", "\ud800", "\uffff"])
+def test_a_name_that_xml_cannot_hold_is_refused_before_anything_is_written(tmp_path, name):
+    with pytest.raises(ValueError, match="the name of a function must be of characters that XML"):
+        ec.save_series(tmp_path / "run.pvd", states(1, [name]))
+    if name and "\0" not in name:
+        with pytest.raises(ValueError, match="the name of path must be of characters that XML"):
+            ec.save_series(f"{tmp_path}/{name}.pvd", states(1))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("degree", DEGREES)
 def test_nodal_normals_converge_with_the_order_of_the_elements(degree):
     """On an ellipsoid, whose normals are known: gradients of interpolants have order k."""
