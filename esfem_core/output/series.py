@@ -15,7 +15,7 @@ import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from html import escape
-from numbers import Real
+from numbers import Integral, Rational, Real
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -236,7 +236,8 @@ class TableWriter:
         Raises
         ------
         TypeError, ValueError
-            If it is neither, holds something else, or has other columns than the first row.
+            If it is neither, holds something else, has two columns of one name, or other columns
+            than the first row.
         OSError
             If it cannot be written: the file is whole up to the row before.
         """
@@ -244,7 +245,11 @@ class TableWriter:
 
     def _write(self, called: str, row: Any) -> None:
         named = row._asdict() if hasattr(row, "_asdict") else row
-        cells = dict(_cells(called, mapping(called, named, "numbers")))
+        cells: dict[str, Any] = {}
+        for name, entry in _cells(called, mapping(called, named, "numbers")):
+            if name in cells:
+                raise ValueError(f"{called} must have different columns, got two called {name!r}")
+            cells[name] = entry
         if not cells:
             raise ValueError(f"{called} must have at least one column, got {shown(row)}")
         if self._columns is not None and self._columns != list(cells):
@@ -409,6 +414,10 @@ def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
     for name, value in row.items():
         if isinstance(value, Mapping):
             yield from _cells(called, {f"{name}_{key}": entry for key, entry in value.items()})
+        elif np.ma.isMaskedArray(value):
+            raise TypeError(
+                f"{called} must hold numbers, but {name!r} is masked: its holes have none"
+            )
         elif isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
             yield from _cells(called, {f"{name}_{i}": entry for i, entry in enumerate(value)})
         else:
@@ -417,4 +426,6 @@ def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
                 raise TypeError(
                     f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
                 )
+            if isinstance(entry, Rational) and not isinstance(entry, Integral):
+                entry = float(entry)  # programs take 1/3 for text or a date
             yield name, entry

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -292,3 +293,23 @@ def test_a_row_of_what_is_no_number_is_refused_by_column(tmp_path, bad):
     with pytest.raises(TypeError, match="row must hold real numbers, text or None, but 'b"):
         ec.TableWriter(tmp_path / "run.csv").write({"a": 1.0, "b": bad})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("row", "error", "message"),
+    [
+        ({"a": [1, 2], "a_0": 3}, ValueError, "different columns, got two called 'a_0'"),
+        ({"a": {"b": 1}, "a_b": 3}, ValueError, "different columns, got two called 'a_b'"),
+        ({"a": np.ma.array([1.0, 2.0], mask=[0, 1])}, TypeError, "'a' is masked"),
+        ({"a": np.ma.masked}, TypeError, "'a' is masked"),
+    ],
+)
+def test_no_number_of_a_row_is_lost_or_made_up(tmp_path, row, error, message):
+    with pytest.raises(error, match=message):
+        ec.save_table(tmp_path / "run.csv", [row])
+    assert not list(tmp_path.iterdir())
+
+
+def test_fractions_are_written_as_numbers_that_other_programs_read(tmp_path):
+    ec.save_table(tmp_path / "run.csv", [{"t": Fraction(1, 8), "n": 3}])
+    assert (tmp_path / "run.csv").read_text() == "t,n\n0.125,3\n"
