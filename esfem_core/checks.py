@@ -29,6 +29,7 @@ __all__ = [
     "object_of",
     "one_of",
     "output_path",
+    "path_of",
     "real_array",
     "shown",
     "string",
@@ -301,6 +302,24 @@ def iterable(name: str, values: object, of: str) -> Iterable[Any]:
     if isinstance(values, str | bytes | Mapping | type) or not isinstance(values, Iterable):
         raise TypeError(f"{name} must be a sequence of {of}, got {shown(values)}")
     return values
+
+
+def path_of(name: str, path: object, of: str) -> Path:
+    """A path, of something that need not be there.
+
+    Examples
+    --------
+    >>> path_of("folder", None, "a folder")
+    Traceback (most recent call last):
+        ...
+    TypeError: folder must be the path of a folder, got None
+    """
+    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
+    if not isinstance(text, str):
+        raise TypeError(f"{name} must be the path of {of}, got {shown(path)}")
+    if "\0" in text:
+        raise ValueError(f"{name} must be the path of {of}, got {text!r}")
+    return Path(text)
 
 
 def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:

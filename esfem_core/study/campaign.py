@@ -27,7 +27,7 @@ from pathlib import Path
 from pickle import loads
 from typing import Any, Literal, NamedTuple
 
-from esfem_core.checks import one_of, shown, whole_number
+from esfem_core.checks import function, items, one_of, path_of, shown, whole_number
 from esfem_core.study.dependencies import code_of, is_of_package
 from esfem_core.study.environment import environment
 from esfem_core.study.locks import StudyWarning
@@ -90,7 +90,7 @@ class Experiment:
 
     def path(self, folder: str | Path) -> Path:
         """The file of results in a folder."""
-        return Path(folder) / f"{self.name}.jsonl"
+        return path_of("folder", folder, "a folder") / f"{self.name}.jsonl"
 
 
 class Outcome(NamedTuple):
@@ -188,15 +188,19 @@ def outcomes(
         )
     workers = None if workers is None else whole_number("workers", workers, 0)
     limit: float = float("inf") if workers is None else max(workers, 1)
-    studies = [checked(experiment) for experiment in experiments]
+    threads = None if threads is None else whole_number("threads", threads, 1)
+    place = path_of("folder", folder, "a folder")
+    if place.exists() and not place.is_dir():
+        raise NotADirectoryError(f"folder must be a folder, but {str(place)!r} is a file")
+    studies = [checked(e) for e in items("experiments", experiments, Experiment, 0)]
     own = None
     if executor is None and workers != 0:
         executor = own = Processes(workers, threads)
         limit = own.workers
-    Path(folder).mkdir(parents=True, exist_ok=True)
+    place.mkdir(parents=True, exist_ok=True)
     campaign = _Campaign(executor or _Here(), own, 1 if executor is None else limit, threads)
     for experiment in studies:
-        campaign.add(experiment, Path(folder), stale, _sent(experiment.compute, executor))
+        campaign.add(experiment, place, stale, _sent(experiment.compute, executor))
     return campaign.outcomes()
 
 
@@ -212,7 +216,12 @@ def checked(experiment: Experiment) -> Experiment:
         raise TypeError(f"compute must be a function, got {shown(experiment.compute)}")
     name = experiment.name
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
-        raise ValueError(f"name must be made of letters, digits, '_', '-' and '.', got {name!r}")
+        raise ValueError(
+            f"name must be made of letters, digits, '_', '-' and '.', got {name!r}; where compute "
+            "has no such name, name= gives one"
+        )
+    if experiment.enough is not None:
+        function("enough", experiment.enough, "of two results, or None")
     chains = [listed("a chain of cases", chain) for chain in experiment.chains]
     for parameters in (case for chain in chains for case in chain):
         if not isinstance(parameters, Mapping):

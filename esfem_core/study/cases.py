@@ -11,6 +11,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from esfem_core.checks import flag, shown
 from esfem_core.study.campaign import (
     Experiment,
     Failure,
@@ -75,11 +78,25 @@ def _text(value: Any) -> str:
 def grid(**values: Iterable[Any]) -> list[dict[str, Any]]:
     """All combinations of values of some parameters; the last one changes first.
 
+    Raises
+    ------
+    TypeError
+        If a parameter is given one value and not a sequence; strings are values.
+
     Examples
     --------
     >>> grid(order=(1, 2), step=(0.1, 0.05))[:3]
     [{'order': 1, 'step': 0.1}, {'order': 1, 'step': 0.05}, {'order': 2, 'step': 0.1}]
     """
+    for name, given in values.items():
+        single = isinstance(given, str | bytes) or (
+            isinstance(given, np.ndarray) and not given.ndim
+        )
+        if single or not isinstance(given, Iterable):
+            raise TypeError(
+                f"{name} must be a sequence of values, got {shown(given)}; a tuple holds a single "
+                f"one: {name}=({shown(given)},)"
+            )
     return [dict(zip(values, case, strict=True)) for case in product(*values.values())]
 
 
@@ -183,6 +200,8 @@ def run(
     1/2 square: side=2: found
     2/2 square: side=3: ...
     """
+    if not callable(progress):
+        flag("progress (or a function of a line)", progress)
     name = getattr(compute, "__name__", None) if name is None else name
     chains = [[c] if isinstance(c, Mapping) else c for c in listed("cases", cases)]
     study = checked(Experiment(name or "", "", compute, chains, enough))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import shown
+from esfem_core.checks import path_of, shown
 from esfem_core.study.locks import FileLocks
 
 __all__ = [
@@ -30,6 +30,9 @@ __all__ = [
     "set_aside",
     "told",
 ]
+
+BEGINNING = b'{"parameters": '  # of a line
+LARGEST = 1024  # bits of an integer, as many as floats can have: what Python writes is limited, too
 
 Parameters = Mapping[str, Any]
 Results = Mapping[str, Any]
@@ -83,8 +86,8 @@ def plain(name: str, value: Any) -> Any:
 
     Raises
     ------
-    TypeError
-        If it, or something in it, has no such form.
+    TypeError, ValueError
+        If it, or something in it, has no such form, or is an integer of more than 1024 bits.
 
     Examples
     --------
@@ -102,6 +105,10 @@ def plain(name: str, value: Any) -> Any:
         value = value.astype(float).tolist() if value.dtype.kind == "f" else value.tolist()
     if value is None or isinstance(value, bool):
         return value
+    if isinstance(value, int) and value.bit_length() > LARGEST:
+        raise ValueError(
+            f"{name} must be an integer of at most {LARGEST} bits, got one of {value.bit_length()}"
+        )
     for kind in (int, float, str):
         if isinstance(value, kind):
             return kind(value)
@@ -146,11 +153,13 @@ def read(path: str | Path) -> list[Row]:
 
     Raises
     ------
+    TypeError
+        If it is no path.
     ValueError
-        If a line other than the last is not a row. (A last line that is cut off is what a killed
-        process leaves; it is not read.)
+        If a line is not a row. (A last line that is the beginning of one is what a killed process
+        leaves; it is not read.)
     """
-    path = Path(path)
+    path = path_of("path", path, "a file")
     return _parse(path, path.read_bytes())[0] if path.exists() else []
 
 
@@ -163,24 +172,31 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     >>> [row.parameters["step"] for row in select(rows, order=2)]
     [0.1, 0.05]
     """
-    wanted = parameters.items()
-    return [row for row in rows if all(row.parameters.get(k) == value for k, value in wanted)]
+    wanted = {name: plain(name, value) for name, value in parameters.items()}
+    return [row for row in rows if all(row.parameters.get(k) == v for k, v in wanted.items())]
 
 
 def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:
     """Rows of a file, and how many of its bytes they are."""
     *lines, last = data.split(b"\n")
     rows = []
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate([*lines, last], start=1):
+        if not line.strip() or (number > len(lines) and _is_cut_off(line)):
+            continue
         try:
-            if line.strip():
-                rows.append(_row(line))
+            rows.append(_row(line))
         except ValueError as error:
             raise ValueError(f"{path} is not a file of results: line {number}: {error}") from None
+    return rows, len(data) - (len(last) if _is_cut_off(last) else 0)
+
+
+def _is_cut_off(line: bytes) -> bool:
+    """Whether a last line is the beginning of a row, or zeros, as after a failure of power."""
     try:
-        return [*rows, _row(last)], len(data)  # whole, but for its end
+        json.loads(line)
     except ValueError:
-        return rows, len(data) - len(last)
+        return line.startswith(BEGINNING) or BEGINNING.startswith(line) or not line.strip(b"\0")
+    return False
 
 
 def _row(line: bytes) -> Row:

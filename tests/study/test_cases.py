@@ -1,5 +1,6 @@
 """Studies of many cases, computed in this process: what is kept, found, renewed and refused."""
 
+import functools
 import json
 from concurrent.futures import ThreadPoolExecutor
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.study import StudyWarning, grid, read, run
+from esfem_core.study import StudyWarning, grid, read, run, select
 
 FACTOR = 1
 
@@ -142,10 +143,42 @@ def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(t
         study(tmp_path, grid(size=[1]), lambda size: 7, name="seven")
 
 
+def test_an_integer_too_long_to_be_written_costs_its_own_case_only(tmp_path):
+    with pytest.warns(
+        StudyWarning, match=r"results\['n'\] must be an integer of at most 1024 bits"
+    ):
+        results, _ = study(
+            tmp_path, grid(digits=(5000, 3)), lambda digits: {"n": 10**digits}, name="n"
+        )
+    assert [row.results["n"] for row in results.rows] == [1000]
+    assert read(tmp_path / "n.jsonl") == results.rows
+
+
+def test_rows_are_selected_by_values_of_any_library(tmp_path):
+    results, _ = study(tmp_path, grid(axes=([1, 2], [1, 3])), lambda axes: {}, name="n")
+    for axes in ((1, 2), [1.0, 2.0], np.array([1, 2])):
+        assert select(results.rows, axes=axes) == results.rows[:1]
+
+
+@pytest.mark.parametrize("values", ["updated", 3, np.array(2)])
+def test_a_single_value_is_no_sequence_of_values(values):
+    with pytest.raises(
+        TypeError, match=r"mass must be a sequence of values, got .*; a tuple holds"
+    ):
+        grid(mass=values)
+
+
+def test_a_path_is_a_path():
+    with pytest.raises(TypeError, match="path must be the path of a file, got None"):
+        read(None)
+
+
 GOOD = '{"parameters": {"size": 1}, "results": {"size": 1}, "provenance": {"esfem_core": "0"}}'
 
 
-@pytest.mark.parametrize("end", ['\n{"parameters": {"si', "\n", "", "\n\n", '\n{"a": "\xe4'])
+@pytest.mark.parametrize(
+    "end", ['\n{"parameters": {"si', "\n", "", "\n\n", "\n\0\0", '\n{"parameters": "\xe4']
+)
 def test_a_last_line_without_end_loses_no_row(tmp_path, end):
     path = tmp_path / "compute.jsonl"
     path.write_bytes(f"{GOOD}{end}".encode()[: -1 if "\xe4" in end else None])
@@ -158,7 +191,13 @@ def test_a_last_line_without_end_loses_no_row(tmp_path, end):
     assert [json.loads(line)["parameters"]["size"] for line in lines] == [1, 2]
 
 
-@pytest.mark.parametrize("text", ["no json\n", f"{GOOD}\n{{}}\n", "[]\n", f"{GOOD}x\n", "\x00\n"])
+# One line without an end, which is no beginning of a row: what another program has written.
+FOREIGN = ["a, b, c", f"{GOOD}\nremarks", '{"a": 1}', GOOD.replace("results", "other"), "3"]
+
+
+@pytest.mark.parametrize(
+    "text", ["no json\n", f"{GOOD}\n{{}}\n", "[]\n", f"{GOOD}x\n", "\x00\n", *FOREIGN]
+)
 def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, text):
     path = tmp_path / "power.jsonl"
     path.write_text(text)
@@ -193,9 +232,24 @@ def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
         ({"cases": [{"f": len}]}, TypeError, r"a case\['f'\] must be a number, .* got <built-in"),
         ({"compute": 3}, TypeError, "compute must be a function, got 3"),
         ({"compute": lambda: 0}, ValueError, "name must be made of letters, .* got '<lambda>'"),
+        (
+            {"compute": functools.partial(power)},
+            ValueError,
+            "name must .* got ''; where compute has",
+        ),
         ({"name": "../a"}, ValueError, "name must be made of letters, digits, .* got '../a'"),
         ({"workers": -1}, ValueError, "workers must be an integer >= 0, got -1"),
         ({"workers": None, "threads": 0}, ValueError, "threads must be an integer >= 1, got 0"),
+        ({"threads": "1"}, TypeError, "threads must be an integer >= 1, got '1'"),
+        ({"enough": 3}, TypeError, "enough must be a function of two results, or None, got 3"),
+        (
+            {"progress": None},
+            TypeError,
+            r"progress \(or a function of a line\) must be True or Fal",
+        ),
+        ({"folder": None}, TypeError, "folder must be the path of a folder, got None"),
+        ({"folder": "a\0"}, ValueError, r"folder must be the path of a folder, got 'a\\x00'"),
+        ({"folder": __file__}, OSError, "folder must be a folder, but .* is a file"),
         ({"executor": 2}, TypeError, "executor must be a concurrent.futures.Executor or None, go"),
         ({"stale": "no"}, ValueError, 'stale must be "renew" or "keep", got \'no\''),
     ],
