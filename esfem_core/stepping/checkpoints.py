@@ -18,7 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, items, number, one_of, output_path, shown, whole_number
+from esfem_core.checks import (
+    Array,
+    items,
+    number,
+    one_of,
+    output_path,
+    path_of,
+    shown,
+    whole_number,
+)
 from esfem_core.elements import SurfaceSpace
 from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
@@ -33,6 +42,7 @@ __all__ = ["load", "respaced", "save", "saving", "space_of"]
 KIND, VERSION = "esfem_core states", 1
 MOST = 6  # states that are made for another step, unless an order asks for more
 SAME_TIME = 1e-9  # relative to the step
+ROUNDING = 1e-3  # of times, relative to the step
 OWN_MASS = 1e-10  # how well, relatively, a product is M(x) w for the positions x of its own state
 ENDED = "the run has ended: esfem_core.save(path, states) saves what was yielded, elsewhere"
 
@@ -98,9 +108,7 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
     ValueError
         If the file is damaged or another one, or of a later version.
     """
-    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
-        raise TypeError(f"path must be the path of a file, got {shown(path)}")
-    path = Path(path)
+    path = path_of("path", path, "a file")
     if not path.is_file():
         raise FileNotFoundError(f"path must be a file, but there is no file {str(path)!r}")
     try:
@@ -119,7 +127,7 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
         )
     try:
         return _rebuilt(header, arrays)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{str(path)!r} is damaged: {error}") from error
 
 
@@ -205,7 +213,8 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     Raises
     ------
     TypeError, ValueError
-        If the states do not fit together, or do not reach back far enough.
+        If the states do not fit together, or do not reach back far enough, or if the step is lost
+        in the rounding of the times.
 
     Examples
     --------
@@ -222,6 +231,11 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     given = items("states", states, State)
     space = space_of(given)
     step = number("step", step, above=0)
+    if abs(given[-1].t - later(given[-1].t, -step) - step) > ROUNDING * step:
+        raise ValueError(
+            f"step must be larger against the time, t = {given[-1].t:g}, got {step:g}: the times "
+            "of such steps are not told apart"
+        )
     p = None if order is None else whole_number("order", order, 1, MOST_STEPS)
     nearest = MOST + 1 if p is None else p + 1
     times = [given[-1].t]

@@ -285,9 +285,14 @@ def rename_in_all(header, arrays):
         state["fields"][0] = "other"
 
 
+def list_shapes(header, arrays):
+    header["shapes"] = list(header["shapes"])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (list_shapes, "'list' object has no attribute"),
         (drop, "1/fields/0"),
         (shorten, r"1/x has type float64 and shape \(65, 3\)"),
         (change_type, "0/x has type complex128"),
@@ -447,6 +452,8 @@ def test_respaced_says_how_far_the_states_must_reach_back():
         ec.respaced(states[-3:], 0.1, order=3)
     with pytest.raises(ValueError, match="step must be a finite number > 0"):
         ec.respaced(states, 0)
+    with pytest.raises(ValueError, match=r"larger against the time, t = 0\.4, got 1e-17"):
+        ec.respaced(states, 1e-17)
     with pytest.raises(ValueError, match="order must be an integer from 1 to 100, got 0"):
         ec.respaced(states, 0.1, order=0)
     with pytest.raises(ValueError, match="at least one State"):
