@@ -85,7 +85,8 @@ def remeshed(
         the problem. If h is
         not positive, or so large that the surface could not have the topology it has: a component
         has no room for twenty triangles, or turns by more than 60 degrees within one. If the new
-        triangles are not fit on the initial surface, where that counts.
+        triangles are not fit on the initial surface, where that counts. If a node has no normal,
+        or a vector field "normal" points inwards.
     MeshingError
         If some angle remains below 15 degrees.
 
@@ -121,7 +122,10 @@ def remeshed(
     if h is None:
         h = float(edges_of(faces_of(space)).lengths(x[corners_of(space)]).mean())
     h = number("h", h, above=0)
-    transfer = triangulated(space, x, h, given[-1].fields.get("normal"))
+    normal = given[-1].fields.get("normal")
+    if normal is not None and normal.shape != x.shape:
+        normal = None  # a function that is called so, and no vector field
+    transfer = triangulated(space, x, h, normal)
     result = transferred(given, transfer, conserved, problem)
     return result[0] if single else result
 

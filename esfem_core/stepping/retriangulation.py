@@ -80,15 +80,14 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
     Raises
     ------
     ValueError
-        If h is too large, see :func:`esfem_core.remeshed`, or gives more than a million triangles.
+        If h is too large, see :func:`esfem_core.remeshed`, or gives more than a million triangles;
+        if a node has no normal, or those that are given point inwards.
     MeshingError
         If some angle remains below 15 degrees.
     """
     at = Surface(space, x)
     _check_room(at, h)
-    if normal is None:
-        normal = nodal_average(at, at.normal)
-    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = _unit_normals(at, normal)
     turn = _allowed_turn(at, normal)
     lengths = _lengths(at, h, normal)
     vertices, faces = x[corners_of(space)], faces_of(space)
@@ -114,6 +113,23 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
     raise ValueError(
         f"h = {h:g} is too large for this surface: a triangle near {place} does not follow it"
     )
+
+
+def _unit_normals(at: Surface, given: Array | None) -> Array:
+    """Those of the elements at the nodes, or given ones, with length one."""
+    normal = nodal_average(at, at.normal) if given is None else given
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    if not (length > 0).all():
+        i = int(np.argmin(length > 0))
+        why = "those of the elements around cancel" if given is None else 'its "normal" is zero'
+        raise ValueError(
+            f"the surface must have a normal at each node, but at node {i}, "
+            f"{at.x[i].tolist()}, {why}"
+        )
+    cells = at.space.cells[:, :3]
+    if given is not None and np.einsum("ti,tai->", _planes(at.x[cells]), normal[cells]) < 0:
+        raise ValueError('the vectors "normal" of the last state must point outwards, not inwards')
+    return np.asarray(normal / length)
 
 
 def _lengths(at: Surface, h: float, normal: Array) -> Array:

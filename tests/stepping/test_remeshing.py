@@ -380,11 +380,16 @@ def test_elements_that_fold_become_flat_and_the_others_stay():
 
 
 BALL = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
+OCTA = ec.SurfaceSpace(ec.sphere("octahedron", 1))
 TRI = ec.sphere("octahedron", 1)
 TRI.update_faces(TRI.triangles_center[:, 2] > 0)
 TRI.remove_unreferenced_vertices()
 DOME = ec.SurfaceSpace(TRI, boundary=True)
 STATE = ec.State(0.0, BALL.nodes, None, 1 + BALL.nodes[:, 0], space=BALL)
+
+
+def ball(x, **fields):
+    return ec.State(0.0, x, None, space=BALL, fields=fields)
 
 
 @pytest.mark.parametrize(
@@ -400,6 +405,9 @@ STATE = ec.State(0.0, BALL.nodes, None, 1 + BALL.nodes[:, 0], space=BALL)
             "must be on a closed surface, but theirs has a boundary of 8 nodes",
         ),
         (([STATE, STATE],), ValueError, "in the order of time"),
+        ((ball(BALL.nodes, normal=0 * BALL.nodes),), ValueError, "node 0, .* its .normal. is zero"),
+        ((ball(BALL.nodes, normal=-BALL.nodes),), ValueError, "must point outwards, not inwards"),
+        ((ec.State(0.0, OCTA.nodes * [1, 1, 0], space=OCTA),), ValueError, "node .* around cancel"),
         ((STATE, 0), ValueError, "h must be a finite number > 0, got 0"),
         ((STATE, "0.1"), TypeError, "h must be a finite number > 0, got '0.1'"),
         ((STATE, 2.0), ValueError, "h must be at most 1.1.*, so that the surface, .*got 2"),
@@ -415,6 +423,11 @@ STATE = ec.State(0.0, BALL.nodes, None, 1 + BALL.nodes[:, 0], space=BALL)
 def test_refusals_say_what_would_be_right(arguments, error, text):
     with pytest.raises(error, match=text):
         ec.remeshed(*arguments)
+
+
+def test_a_function_called_normal_need_not_be_one():
+    for w in (BALL.nodes[:, 0], BALL.nodes[:, :2]):
+        assert ec.remeshed(ball(BALL.nodes, normal=w))["normal"].shape[1:] == w.shape[1:]
 
 
 def test_the_largest_length_is_allowed():
