@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, shown
+from esfem_core.checks import Array, Ints, function, shown, string
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
@@ -36,6 +36,8 @@ SIDES_OF = {  # of cells of a body, outwards
         *([0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]),
     ],
 }
+
+FLAT = ("vertex", "line", *(f"VTK cell type {code}" for code in (0, 1, 2, 3, 4, 21, 35, 68)))
 
 
 class Elements(NamedTuple):
@@ -106,7 +108,16 @@ def read_mesh(
     parts of the scene joined: 2
     fit for ec.SurfaceSpace
     """
+    if unit is not None:
+        string("unit", unit)
+    if report is not None:
+        function("report", report, "of a line of text, or None")
     found = _elements(source)
+    if found.points.shape[1:] != (3,):
+        raise ValueError(
+            f"source must have points with three coordinates, but {found.name} has an array of "
+            f"shape {found.points.shape}"
+        )
     vertices, faces = found.points, _triangles(found)
     if len(faces) == 0:
         kinds = ", ".join(sorted({kind for kind, _ in found.cells})) or "points only"
@@ -122,12 +133,18 @@ def read_mesh(
         )
     fit = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
     if not fit.all():
+        if not fit.any():
+            raise ValueError(
+                f"{found.name} holds no triangles with all their corners: they name points up to "
+                f"{faces.max()} and down to {faces.min()}, but there are 0 to {len(vertices) - 1}"
+            )
         steps.append(f"dropped {counted((~fit).sum(), 'triangle')} with missing corners")
     vertices, faces = without_unused(vertices, faces[fit], [] if curved else steps)
     vertices, faces = _joined(vertices, faces, steps)
     scale, unit = _scale(found, unit)
     made = trimesh.Trimesh(scale * vertices, faces, process=False)
-    made.units = unit
+    if unit is not None:  # trimesh makes text of None
+        made.units = unit
     if report is not None:
         finite = vertices[np.isfinite(vertices).all(axis=1)]
         size = (
@@ -339,6 +356,14 @@ def _triangles(found: Elements) -> Ints:
 def _boundary(found: Elements) -> list[Ints]:
     """Sides of the cells of a body that belong to one cell only, by kind of cell."""
     out = []
+    known = {*SIDES_OF, *FLAT}
+    others = sorted({kind for kind, numbers in found.cells if len(numbers) and kind not in known})
+    if others and any(kind in SIDES_OF for kind, _ in found.cells):
+        raise ValueError(
+            f"{found.name} holds {' and '.join(others)} beside other cells of a body: their sides "
+            "are not known here, and the boundary would have holes; write the surface with the "
+            "program that made it"
+        )
     for kind, numbers in _of_one_kind(found.cells):
         found.notes.append(f"boundary of {len(numbers)} cells ({kind}) taken")
         sides = np.vstack([numbers[:, side] for side in SIDES_OF[kind]])

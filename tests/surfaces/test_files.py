@@ -192,3 +192,39 @@ def test_a_missing_reader_is_named(folder, monkeypatch):
         ImportError, match=r"\.vtk are read by meshio: pip install esfem-core\[files\]"
     ):
         read(path)
+
+
+def test_a_mesh_without_a_unit_has_none():
+    tri, _ = read(SPHERE)
+    assert tri.units is None
+    assert not read(tri)[1][0].endswith("none")
+
+
+@pytest.mark.parametrize(
+    ("points", "cells", "message"),
+    [
+        (np.eye(4), [("triangle", [[0, 1, 2]])], r"three coordinates, .* of shape \(4, 4\)"),
+        (np.eye(3), [("triangle", [[7, 8, 9]])], "points up to 9 and down to 7, .* are 0 to 2"),
+        (
+            np.vstack([np.eye(3), -np.eye(3)]),
+            [("tetra", [[0, 1, 2, 3]]), ("wedge", [[0, 1, 2, 3, 4, 5]])],
+            "holds wedge beside other cells of a body: .* would have holes",
+        ),
+    ],
+)
+def test_what_would_give_another_surface_is_refused(points, cells, message):
+    given = meshio.Mesh(points, [(kind, np.array(numbers)) for kind, numbers in cells])
+    with pytest.raises(ValueError, match=message):
+        read(given)
+
+
+def test_points_and_lines_beside_a_body_do_no_harm():
+    cells = [("tetra", [[0, 1, 2, 3]]), ("line", [[0, 1]]), ("vertex", [[0]])]
+    given = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [(k, np.array(n)) for k, n in cells])
+    assert len(read(given)[0].faces) == 4
+
+
+@pytest.mark.parametrize("option", [{"unit": 3}, {"report": 3}])
+def test_options_are_looked_at_before_a_file_is_read(option):
+    with pytest.raises(TypeError, match=f"{next(iter(option))} must be a .*, got 3"):
+        ec.read_mesh("none.stl", **option)
