@@ -92,7 +92,8 @@ class ConvergenceTable:
         What is refined: "tau" or "h".
     sizes : (n,) float array
     errors : mapping of str to (n,) float array
-        Such as the fields of :class:`esfem_core.errors.Errors`. Sequences become arrays.
+        Such as the fields of :class:`esfem_core.errors.Errors`. Sequences become arrays, all are
+        copied and read-only.
 
     Raises
     ------
@@ -112,8 +113,8 @@ class ConvergenceTable:
             n: real_array(f"errors[{n!r}] (one for each of sizes)", e, (len(sizes),))
             for n, e in errors.items()
         }
-        object.__setattr__(self, "sizes", sizes)
-        object.__setattr__(self, "errors", columns)
+        object.__setattr__(self, "sizes", _frozen(sizes))
+        object.__setattr__(self, "errors", {n: _frozen(e) for n, e in columns.items()})
 
     @classmethod
     def of(
@@ -136,8 +137,9 @@ class ConvergenceTable:
 
         Raises
         ------
-        ValueError
-            If there are no rows, their number is not that of the sizes, or their names differ.
+        TypeError, ValueError
+            If a row is neither, there are no rows, their number is not that of the sizes, or their
+            names differ.
 
         Examples
         --------
@@ -146,7 +148,10 @@ class ConvergenceTable:
               0.2   4.00e-03
               0.1   1.00e-03       2.00
         """
-        named = [dict(r) if isinstance(r, Mapping) else r._asdict() for r in rows]
+        named = [
+            _named(f"rows[{i}]", row)
+            for i, row in enumerate(iterable("rows", rows, "Errors or mappings"))
+        ]
         if not named:
             raise ValueError("a table needs at least one row")
         names = list(named[0])
@@ -175,7 +180,7 @@ class ConvergenceTable:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If there are no tables, or they differ in sizes or parameter.
         KeyError
             If one does not have this error.
@@ -189,8 +194,10 @@ class ConvergenceTable:
               0.2   4.00e-02              4.00e-03
               0.1   2.00e-02       1.00   1.00e-03       2.00
         """
-        if not tables:
+        if not mapping("tables", tables, "ConvergenceTables"):
             raise ValueError("there are no tables to join")
+        for key, table in tables.items():
+            object_of(f"tables[{key!r}]", table, cls)
         one = next(iter(tables.values()))
         for key, table in tables.items():
             if table.parameter != one.parameter or not np.array_equal(table.sizes, one.sizes):
@@ -198,15 +205,19 @@ class ConvergenceTable:
         return cls(one.parameter, one.sizes, {key: table[name] for key, table in tables.items()})
 
     def __getitem__(self, name: str) -> Array:
-        return self.errors[name]
+        try:
+            return self.errors[name]
+        except KeyError:
+            known = ", ".join(map(repr, self.errors)) or "none"
+            raise KeyError(f"the table has no error {name!r}, only {known}") from None
 
     def orders(self, name: str) -> Array:
         """Observed orders of one error between neighbouring sizes, see :func:`observed_orders`."""
-        return observed_orders(self.sizes, self.errors[name])
+        return observed_orders(self.sizes, self[name])
 
     def select(self, *names: str) -> "ConvergenceTable":
         """The same table with some of the errors."""
-        return ConvergenceTable(self.parameter, self.sizes, {n: self.errors[n] for n in names})
+        return ConvergenceTable(self.parameter, self.sizes, {n: self[n] for n in names})
 
     def _cells(self) -> tuple[list[str], list[list[str]]]:
         header, columns = [self.parameter], [[f"{size:.4g}" for size in self.sizes]]
@@ -225,6 +236,19 @@ class ConvergenceTable:
     def _repr_html_(self) -> str:
         header, rows = self._cells()
         return html_table(header, rows, "esfem-convergence").text
+
+
+def _frozen(values: Array) -> Array:
+    """A copy that nobody can write to."""
+    copy = values.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def _named(name: str, row: Any) -> dict[str, Any]:
+    """What a row, or a reader's measure, says by name."""
+    values = row._asdict() if hasattr(row, "_asdict") else row
+    return dict(mapping(name, values, "numbers"))
 
 
 def _shown(value: float, spec: str) -> str:
@@ -305,7 +329,7 @@ def time_study(
     if fine is not None:
         if reference is not None or "start" in options:
             raise ValueError("fine gives the reference and the starting values: leave those out")
-        items("fine", fine, State, 2)
+        fine = items("fine", fine, State, 2)
         if abs(fine[-1].t - end) > 1e-9 * max(1.0, abs(end)):
             raise ValueError(f"fine must end at t = {end:g}, but ends at t = {fine[-1].t:g}")
         reference = fine[-1]
@@ -319,9 +343,9 @@ def time_study(
         "tau",
         taus,
         [
-            measure(space, problem, last)
+            _named("what measure returns", measure(space, problem, last))
             if reference is None
-            else difference(space, last, reference)
+            else difference(space, last, reference)._asdict()
             for last in map(final, runs)
         ],
     )
@@ -330,6 +354,12 @@ def time_study(
 def _every(fine: Sequence[State], tau: float) -> Sequence[State]:
     """States of a run, tau apart."""
     step = number("the step of fine", fine[1].t - fine[0].t, above=0)
+    for i, state in enumerate(fine):
+        if abs(state.t - fine[0].t - i * step) > 1e-6 * step:
+            raise ValueError(
+                f"fine must have a constant step, but t = {state.t:g} is no multiple of {step:g} "
+                f"after t = {fine[0].t:g}: give every state of the run"
+            )
     k = round(tau / step)
     if k < 1 or abs(tau - k * step) > 1e-9 * tau:
         raise ValueError(f"steps must be multiples of the step {step:g} of fine, got {tau:g}")
@@ -383,13 +413,16 @@ def space_study(
        0.3015   0.00e+00          –   8.16e-03       1.61
     """
     spaces = items("spaces", spaces, SurfaceSpace)
-    sizes = [space.mesh_size(space.nodes) for space in spaces]
+    sizes = _sizes("mesh sizes of spaces", [space.mesh_size(space.nodes) for space in spaces])
     _check_comparable(problem, None, measure)
     runs = [evolve(space, problem, order, step, end, **options) for space in spaces]
     return ConvergenceTable.of(
         "h",
         sizes,
-        [measure(space, problem, final(run)) for space, run in zip(spaces, runs, strict=True)],
+        [
+            _named("what measure returns", measure(space, problem, final(run)))
+            for space, run in zip(spaces, runs, strict=True)
+        ],
     )
 
 

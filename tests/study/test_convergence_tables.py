@@ -170,3 +170,42 @@ def test_studies_refuse_before_they_compute():
         space_study([SPACE], bat, 2, 0.1, 0.5, solver=solver)
     with pytest.raises(ValueError, match="end/step must be an integer"):
         time_study(SPACE, GROWING, 2, [0.1, 0.3], 0.5, solver=solver)
+    with pytest.raises(ValueError, match="mesh sizes of spaces must be positive, neighbours diff"):
+        space_study([SPACE, SPACE], ec.problems.expanding_sphere(), 2, 0.1, 0.5, solver=solver)
+    uneven = [FINE[0], FINE[16], *FINE[24:]]
+    with pytest.raises(ValueError, match=r"fine must have a constant step, but t = 0\.15 is no mu"):
+        time_study(SPACE, GROWING, 2, [0.1], 0.5, fine=uneven, solver=solver)
+
+
+def test_a_fine_run_may_come_as_it_is_computed():
+    given = time_study(SPACE, GROWING, 2, [1 / 20], 0.5, fine=FINE)
+    assert (
+        time_study(SPACE, GROWING, 2, [1 / 20], 0.5, fine=iter(FINE))["u_l2"] == given["u_l2"]
+    ).all()
+
+
+def test_a_measure_that_returns_no_errors_is_told():
+    with pytest.raises(TypeError, match="what measure returns must be a mapping from names to num"):
+        time_study(SPACE, GROWING, 1, [0.25], 0.5, measure=lambda *given: None, reference=None)
+
+
+def test_no_caller_changes_a_table():
+    sizes, errors = np.array([0.2, 0.1]), np.array([4.0, 1.0])
+    table = ConvergenceTable("h", sizes, {"x": errors})
+    sizes[0] = errors[0] = 7
+    assert str(table).splitlines()[1].split() == ["0.2", "4.00e+00"]
+    with pytest.raises(ValueError, match="read-only"):
+        table["x"][0] = 7
+
+
+def test_rows_tables_and_names_that_are_none_are_told():
+    table = ConvergenceTable("h", [0.2, 0.1], {"x": [4, 1]})
+    with pytest.raises(
+        TypeError, match=r"rows\[0\] must be a mapping from names to numbers, got 3"
+    ):
+        ConvergenceTable.of("h", [1], [3])
+    with pytest.raises(TypeError, match=r"tables\['a'\] must be a ConvergenceTable, got 3"):
+        ConvergenceTable.join({"a": 3}, "x")
+    for ask in (table.select, table.orders, table.__getitem__):
+        with pytest.raises(KeyError, match="the table has no error 'y', only 'x'"):
+            ask("y")
