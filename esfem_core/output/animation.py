@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -20,6 +21,7 @@ from esfem_core.checks import (
     function,
     items,
     iterable,
+    number,
     object_of,
     output_path,
     shown,
@@ -35,7 +37,7 @@ from esfem_core.output.pictures import (
     known_space,
     nodal_values,
 )
-from esfem_core.output.viewer import Shot, viewer
+from esfem_core.output.viewer import LONGEST, Shot, viewer
 from esfem_core.stepping import State, write_whole
 from esfem_core.tables import Html
 
@@ -74,7 +76,7 @@ def surface_animation(
     div_id : str
         Identifier of the picture: different for each on a page.
     duration : int
-        Milliseconds per frame, positive.
+        Milliseconds per frame, up to a minute.
 
     Returns
     -------
@@ -86,7 +88,7 @@ def surface_animation(
     ------
     TypeError, ValueError
         If there is no state, nodes or values have the wrong shape or are not finite, or `duration`
-        is not a positive integer.
+        is not an integer from 1 to 60000.
 
     Examples
     --------
@@ -111,6 +113,9 @@ def surface_animation(
     for i, s in enumerate(shots):
         if not hasattr(s, "x") or not hasattr(s, "t"):
             raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
+        if values is None and not hasattr(s, "u"):
+            raise TypeError(f"states[{i}] must have u, or values must be given, got {shown(s)}")
+        number(f"states[{i}].t", s.t)
     frames = [
         Shot(
             space,
@@ -151,12 +156,12 @@ def animate(
     limits : (float, float), optional
         Values of the first and the last colour.
     duration : int
-        Milliseconds per frame, positive.
+        Milliseconds per frame, up to a minute.
 
     Returns
     -------
     Html or Path
-        The picture, or the file.
+        The picture, or the file. At any moment the old or the new file is there whole.
 
     Raises
     ------
@@ -175,7 +180,7 @@ def animate(
     Growth: 6 frames, t = 0 to 0.5
     """
     file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
-    duration = whole_number("duration", duration, 1)
+    duration = whole_number("duration", duration, 1, LONGEST)
     string("title", title)
     if label is not None:
         string("label", label)
@@ -230,5 +235,8 @@ def _film(
     if (scale := frame(0)) is not None:
         figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
     film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
-    film.save(file, writer=writer(fps=1000 / duration))
+    with TemporaryDirectory() as folder:
+        made = Path(folder, f"film{file.suffix.lower()}")
+        film.save(made, writer=writer(fps=1000 / duration))
+        write_whole(file, made.read_bytes())
     return file

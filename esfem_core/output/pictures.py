@@ -182,7 +182,7 @@ def colour_range(
 ) -> tuple[float, float]:
     """Values of the first and the last colour."""
     if limits is not None:
-        if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
+        if np.ndim(limits) != 1 or len(limits) != 2:
             raise ValueError(f"limits must be a pair (lowest, highest), got {shown(limits)}")
         lowest = number("limits[0]", limits[0])
         return lowest, number("limits[1]", limits[1], above=lowest)

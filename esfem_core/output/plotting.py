@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number
+from esfem_core.checks import Array, finite_array, mapping, number, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,8 +103,10 @@ def convergence_plot(
     order = number("order", order)
     if len(np.unique(h)) < 2:
         raise ValueError(f"steps must hold at least two different ones, got {h.tolist()}")
-    if not errors:
+    if not mapping("errors", errors, "one number for each step"):
         raise ValueError("errors must hold at least one curve, got none")
+    if not hasattr(ax, "loglog"):
+        raise TypeError(f"ax must be axes of matplotlib, got {shown(ax)}")
     curves = {label: _positive(f"errors[{label!r}]", e, h.shape) for label, e in errors.items()}
     for i, (label, e) in enumerate(curves.items()):
         rate = np.polyfit(np.log(h), np.log(e), 1)[0]
@@ -118,8 +120,8 @@ def convergence_plot(
     ends = np.array([h.min(), h.max()])
     base = 0.5 * min(float(np.min(e / h**order)) for e in curves.values())
     ax.loglog(ends, base * ends**order, "--", color="0.4", label=f"slope {order:g}")
-    shown = h[:: -(-len(h) // MAX_TICKS)]
-    ax.set_xticks(shown, [_size_label(size) for size in shown])
+    ticks = h[:: -(-len(h) // MAX_TICKS)]
+    ax.set_xticks(ticks, [_size_label(size) for size in ticks])
     ax.xaxis.minorticks_off()
     ax.set_xlabel(xlabel)
     ax.set_ylabel("error")

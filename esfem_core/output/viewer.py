@@ -28,6 +28,8 @@ __all__ = ["Shot", "viewer"]
 Parts = dict[str, Any]  # of plotly's description of a picture
 Range = tuple[float, float]
 
+LONGEST = 60_000  # milliseconds of a frame
+
 # fmt: off
 SURFACE: Parts = {
     "type": "mesh3d", "colorscale": "Viridis", "flatshading": False,
@@ -94,7 +96,7 @@ def viewer(
     name : str
         Identifier of the picture.
     duration : int
-        Milliseconds per frame, positive.
+        Milliseconds per frame, up to a minute.
     limits : (float, float), optional
         Values of the first and the last colour.
 
@@ -109,7 +111,7 @@ def viewer(
     TypeError, ValueError
         If `duration` or `limits` are none.
     """
-    duration = whole_number("duration", duration, 1)
+    duration = whole_number("duration", duration, 1, LONGEST)
     room = cube([shot.x for shot in shots])
     shades = colour_range([shot.colours for shot in shots], limits)
     times = [f"{shot.t:.4g}" for shot in shots]

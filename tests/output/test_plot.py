@@ -1,6 +1,7 @@
 """Pictures and films of surfaces: what is drawn where, and what is refused."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -164,9 +165,25 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     ]:
         with pytest.raises(error, match=message):
             ec.animate(*arguments)
-    with pytest.raises(ValueError, match="duration must be an integer >= 1"):
+    with pytest.raises(ValueError, match="duration must be an integer from 1 to 60000, got 0"):
         ec.animate([given], duration=0)
+    with pytest.raises(ValueError, match="duration must be an integer from 1 to 60000"):
+        ec.animate([given], tmp_path / "film.gif", duration=10**7)  # GIF has no room for it
+    with pytest.raises(ValueError, match=r"limits must be a pair \(lowest, highest\), got 1"):
+        ec.animate([given], limits=np.array(1))
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
     with pytest.raises(ImportError, match="needs the program ffmpeg"):
         ec.animate([given], tmp_path / "film.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_that_is_interrupted_leaves_the_older_one(tmp_path, monkeypatch):
+    def interrupted(writer):
+        Path(writer.outfile).write_bytes(b"half a film")
+        raise KeyboardInterrupt
+
+    (tmp_path / "film.gif").write_bytes(b"an older one")
+    monkeypatch.setattr("matplotlib.animation.PillowWriter.finish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ec.animate([state()], tmp_path / "film.gif")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"an older one"]

@@ -97,8 +97,12 @@ def test_animation_refuses_what_it_cannot_draw(run):
         surface_animation(space, [SimpleNamespace(t=0.0, x=np.ones((1, 3)), u=np.ones(66))])
     with pytest.raises(ValueError, match=r"values must be finite, but values\[0\] is nan"):
         surface_animation(space, states, values=lambda s: np.full(66, np.nan))
-    with pytest.raises(ValueError, match="duration must be an integer >= 1, got 0"):
+    with pytest.raises(ValueError, match="duration must be an integer from 1 to 60000, got 0"):
         surface_animation(space, states, duration=0)
+    with pytest.raises(ValueError, match=r"states\[0\]\.t must be a finite number, got nan"):
+        surface_animation(space, [SimpleNamespace(t=np.nan, x=space.nodes, u=space.nodes[:, 0])])
+    with pytest.raises(TypeError, match=r"states\[0\] must have u, or values must be given"):
+        surface_animation(space, [SimpleNamespace(t=0.0, x=space.nodes)])
 
 
 def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
@@ -116,6 +120,10 @@ def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
     ]:
         with pytest.raises(ValueError, match=message):
             convergence_plot(ax, steps, errors, 3, "step")
+    with pytest.raises(TypeError, match="errors must be a mapping from names"):
+        convergence_plot(ax, [0.1, 0.05], [[2.0, 1.0]], 3, "step")
+    with pytest.raises(TypeError, match="ax must be axes of matplotlib, got None"):
+        convergence_plot(None, [0.1, 0.05], {"u": [2.0, 1.0]}, 3, "step")
 
 
 def test_curves_take_the_colours_and_markers_of_the_palette_in_turn():
