@@ -42,6 +42,7 @@ TILTED = 0.5  # smallest cosine between a quarter of an element and its triangle
 HALVINGS = 8  # of the weights of graphs, and of the room of arcs, where it is smaller
 BENT = 0.08  # height of the arc of a crease, over its chord and the altitudes of its triangles
 NO_MEAN = 1e-9  # length of a mean normal, in radians: triangles that face each other
+FAR = 1e100  # beyond, products of coordinates are not finite
 PARALLEL = 0.1  # squared difference of unit normals of two sides that hardly cross
 
 
@@ -163,7 +164,7 @@ class SmoothSurface:
         Raises
         ------
         TypeError, ValueError
-            If the points are not finite or of another shape.
+            If the points are not finite, of another shape, or farther away than 1e100.
         """
         return self._place(*self._locate(points))
 
@@ -182,7 +183,7 @@ class SmoothSurface:
         Raises
         ------
         TypeError, ValueError
-            If the points are not finite or of another shape.
+            If the points are not finite, of another shape, or farther away than 1e100.
         """
         triangle, b = self._locate(points)
         near, _ = self._along_creases(triangle, b)
@@ -191,7 +192,14 @@ class SmoothSurface:
 
     def _locate(self, points: Array) -> tuple[Ints, Array]:
         """Triangles, (n,), and barycentric coordinates there, (n, 3)."""
-        triangle, b = self._foot(finite_array("points", points, ("n", 3)))
+        x = finite_array("points", points, ("n", 3))
+        if (farthest := float(np.abs(x).max(initial=0))) > FAR:
+            size = float(np.abs(self.vertices).max())
+            raise ValueError(
+                f"points must be near the surface, with coordinates up to {size:.3g}, but one has "
+                f"the coordinate {farthest:.3g}"
+            )
+        triangle, b = self._foot(x)
         b[b < ON_EDGE] = 0
         return triangle, b / b.sum(axis=1, keepdims=True)
 

@@ -290,3 +290,7 @@ def test_points_must_be_finite_and_of_three_coordinates():
         surface([[0.0, np.nan, 1.0]])
     with pytest.raises(ValueError, match=r"points must have shape \(n, 3\), got \(3,\)"):
         surface.normal([0.0, 0.0, 1.0])
+    with pytest.raises(
+        ValueError, match=r"coordinates up to 1, but one has the coordinate 1e\+200"
+    ):
+        surface([[0.0, 0.0, -1e200]])
