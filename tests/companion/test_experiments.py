@@ -51,9 +51,14 @@ def test_cheap_cases_are_what_the_code_computes_today(experiment, row):
 def test_names_numbers_and_folders_that_do_not_fit_are_refused(capsys, tmp_path):
     file = tmp_path / "file"
     file.touch()
+    (tmp_path / "bat_time.jsonl").write_text("step,error\n0.1,2e-3\n")
     for arguments, message in [
         (["nonsense"], "no such experiment: nonsense"),
         (["--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
+        (
+            ["--folder", f"{tmp_path}", "bat_time"],
+            "bat_time.jsonl is not a file of results: line 1",
+        ),
         (["--folder", f"{file}/data"], f"cannot write into {file}/data (Not a directory); "),
     ]:
         with pytest.raises(SystemExit):

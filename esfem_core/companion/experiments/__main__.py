@@ -96,6 +96,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
             options.jobs = whole_number("--jobs", options.jobs, 1)
         options.folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=options.folder).close()
+        for experiment in options.experiments:
+            campaign.read(experiment.path(options.folder))  # refuses what is no file of results
     except ValueError as error:
         parser.error(str(error))
     except OSError as error:
