@@ -110,8 +110,9 @@ class Sphere(ExactSurface):
 
     def near(self, x: Array) -> Near:  # noqa: D102 - documented by the base class
         x = finite_array("x", x, ("...", 3))
-        length = np.linalg.norm(x, axis=-1)
-        _refuse(x, length <= 0, "sphere")
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(x, axis=-1)
+        _refuse(x, (length <= 0) | (length == np.inf), "sphere")
         normal = x / length[..., None]
         weingarten = (np.eye(3) - _outer(normal)) / self.radius
         return Near(self.radius * normal, length - self.radius, normal, weingarten)
@@ -154,8 +155,9 @@ class Torus(ExactSurface):
         _refuse(x, rho <= 0, "torus")
         outward = x * [1.0, 1.0, 0.0] / rho[..., None]
         away = x - self.R * outward
-        length = np.linalg.norm(away, axis=-1)
-        _refuse(x, length <= 0, "torus")
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(away, axis=-1)
+        _refuse(x, (length <= 0) | (length == np.inf), "torus")
         normal = away / length[..., None]
         round_axis = np.stack([-outward[..., 1], outward[..., 0], 0 * rho], axis=-1)
         cosine = np.sum(normal * outward, axis=-1)

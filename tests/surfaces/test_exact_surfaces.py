@@ -63,6 +63,8 @@ def test_mean_curvature_in_closed_form():
         (lambda: Ellipsoid((1.0, 2.0)), r"axes must have shape \(3,\), got \(2,\)"),
         (lambda: Ellipsoid((1.0, -2.0, 1.0)), r"axes must be positive, got \[1.0, -2.0, 1.0\]"),
         (lambda: Sphere().near(np.zeros((2, 3))), r"\[0.0, 0.0, 0.0\] is too far from the sphere"),
+        (lambda: Sphere().near(np.array([1e200, 0, 0])), "too far from the sphere"),
+        (lambda: Torus().near(np.array([1e200, 0, 0])), "too far from the torus"),
         (lambda: Torus().near(np.array([[0, 0, 0.4]])), "too far from the torus"),
         (lambda: Torus().near(np.array([[0, 1.0, 0]])), "too far from the torus"),
         (lambda: Ellipsoid((2, 1, 1)).near(np.zeros(3)), "too far from the ellipsoid"),
