@@ -12,7 +12,7 @@ import re
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -164,11 +164,11 @@ def outcomes(
     workers: int | None = None,
     threads: int | None = 1,
     stale: Stale = "keep",
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     """Compute the cases of experiments that are not yet in their files, and show them as they come.
 
     The loop may be left at any time: what is finished is kept, what runs in processes of our own is
-    ended.
+    ended, at once if the generator is closed (``contextlib.closing``).
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ class _Campaign:
         for chain in experiment.chains:
             self.waiting.append(_Chain(experiment, store, sent, code, wanted, list(chain)))
 
-    def outcomes(self) -> Iterator[Outcome]:
+    def outcomes(self) -> Generator[Outcome, None, None]:
         """Find, compute and keep."""
         try:
             for chain in self.waiting:

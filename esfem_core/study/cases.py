@@ -4,7 +4,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from html import escape
 from itertools import product
@@ -46,7 +46,7 @@ class Results:
 
     def _cells(self) -> tuple[list[str], list[list[str]]]:
         """Parameters, and those results that are single values."""
-        rows = [{**row.parameters, **row.results} for row in self.rows]
+        rows = [{**row.parameters, **_beside(row)} for row in self.rows]
         names = dict.fromkeys(
             name for row in rows for name in row if not isinstance(row[name], list | dict)
         )
@@ -69,6 +69,12 @@ class Results:
         header, cells = self._cells()
         table = html_table(header, cells).text
         return table + "".join(f"<p>{escape(note)}</p>" for note in self._notes())
+
+
+def _beside(row: Row) -> dict[str, Any]:
+    """The results, with other names than those of the parameters."""
+    used = row.parameters
+    return {f"{n} (result)" if n in used else n: value for n, value in row.results.items()}
 
 
 def _text(value: Any) -> str:
@@ -208,7 +214,8 @@ def run(
     coming = outcomes([study], folder, executor, workers=workers, threads=threads, stale=stale)
     rows: dict[str, Row] = {}
     failures = []
-    with _reporting(progress, sum(map(len, study.chains))) as report:
+    # Closed also when progress raises: its traceback, which a notebook keeps, would hold processes.
+    with closing(coming), _reporting(progress, sum(map(len, study.chains))) as report:
         for outcome in coming:
             report(outcome)
             if outcome.row:

@@ -143,6 +143,25 @@ def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(t
         study(tmp_path, grid(size=[1]), lambda size: 7, name="seven")
 
 
+def test_a_study_ends_at_once_when_progress_raises(tmp_path):
+    def refuse(line):
+        raise ArithmeticError(line)
+
+    with pytest.raises(ArithmeticError) as kept:  # as a notebook keeps it
+        study(tmp_path, grid(order=(1,), step=(0.5, 0.25)), progress=refuse)
+    assert "power: order=1, step=0.5" in str(kept.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["power.jsonl"]  # no lock is left
+    assert len(read(tmp_path / "power.jsonl")) == 1
+
+
+def test_a_result_does_not_hide_the_parameter_of_its_name(tmp_path):
+    results, _ = study(tmp_path, grid(h=(0.5,)), lambda h: {"h": 0.25}, name="n")
+    assert [line.split() for line in str(results).splitlines()] == [
+        ["h", "h", "(result)"],
+        ["0.5", "0.25"],
+    ]
+
+
 def test_an_integer_too_long_to_be_written_costs_its_own_case_only(tmp_path):
     with pytest.warns(
         StudyWarning, match=r"results\['n'\] must be an integer of at most 1024 bits"
