@@ -13,14 +13,26 @@ import ast
 import functools
 import hashlib
 import inspect
+import re
 import sys
 import sysconfig
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, is_dataclass
+from datetime import date, time, timedelta
+from enum import Enum
 from functools import cache
-from pathlib import Path
-from types import CodeType, FunctionType, MethodType, ModuleType
+from numbers import Number
+from pathlib import Path, PurePath
+from types import (
+    BuiltinFunctionType,
+    CodeType,
+    FunctionType,
+    MethodType,
+    ModuleType,
+    SimpleNamespace,
+)
 from typing import Any
 
 import numpy as np
@@ -28,6 +40,12 @@ import numpy as np
 __all__ = ["code_hash", "code_of", "is_of_package", "reached"]
 
 PACKAGE = Path(__file__).parents[1]
+
+BY_TEXT = (
+    *(str, bytes, bytearray, Number, np.generic, type(None), type(...), Enum, range, slice),
+    *(PurePath, date, time, timedelta, re.Pattern),
+)
+"""Values that their `repr` tells all of."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +82,9 @@ def code_of(function: Callable[..., Any]) -> str:
     """Hash of the code that decides what a function returns, of this package or of a user.
 
     For a user's function, other functions and classes of the user that it reaches count, and the
-    values of the names that it uses: numbers, strings, arrays, and lists and dicts of them. Other
-    objects count by their class, other packages not at all.
+    values of the names that it uses: numbers, strings, paths, arrays, and lists, dicts and
+    dataclasses of them, such as laws and problems. Other objects, such as spaces and meshes, count
+    by their class, other packages not at all.
 
     Examples
     --------
@@ -93,8 +112,12 @@ class _Walk:
 
     def add(self, value: Any) -> None:
         """Follow a value: code as far as it goes, data by content."""
-        if isinstance(value, str | int | float | complex | None | np.generic):
+        if isinstance(value, BY_TEXT) and not np.ma.isMaskedArray(value):
             self.texts.append(repr(value))
+        elif np.ma.isMaskedArray(value):
+            self._add_all([np.ma.getdata(value), np.ma.getmaskarray(value)])
+        elif isinstance(value, np.ndarray) and value.dtype.hasobject:  # bytes are addresses
+            self.add([value.shape, value.tolist()])
         elif isinstance(value, np.ndarray):
             data = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
             self.texts.append(f"{value.dtype} {value.shape} {data}")
@@ -123,8 +146,14 @@ class _Walk:
             self.add(value.__func__)
         elif isinstance(value, property):
             self._add_all([value.fget, value.fset])
-        elif isinstance(value, ModuleType):
+        elif isinstance(value, ModuleType | BuiltinFunctionType | np.ufunc):
             self.texts.append(value.__name__)
+        elif isinstance(value, SimpleNamespace):
+            self.add(vars(value))
+        elif is_dataclass(value):
+            self._add_all(
+                [type(value), {f.name: getattr(value, f.name, None) for f in fields(value)}]
+            )
         else:
             self.add(type(value))
 
@@ -138,6 +167,7 @@ class _Walk:
         self.texts.append(name)
         if _is_at_top(module, top := name.partition(".")[0]):
             self.texts.append(_hash(module, top, PACKAGE))
+            self._add_all(_enclosed(value).values())
         elif _is_library(module):
             pass
         elif isinstance(value, type):
@@ -149,13 +179,9 @@ class _Walk:
             self._add_function(inspect.unwrap(value))
 
     def _add_function(self, function: Any) -> None:
-        inner = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        names = {**function.__globals__}
-        for name, cell in inner:
-            try:
-                names[name] = cell.cell_contents
-            except ValueError:  # not bound yet
-                names.pop(name, None)
+        inner = function.__code__.co_freevars
+        names = {k: v for k, v in function.__globals__.items() if k not in inner}
+        names |= _enclosed(function)
         text, chains = _source(function)
         self.texts.append(text)
         self._add_all([function.__defaults__, function.__kwdefaults__])
@@ -165,6 +191,17 @@ class _Walk:
                 while rest and isinstance(found, ModuleType) and not _is_library(found.__name__):
                     found = getattr(found, rest.pop(0), None)
                 self.add(found)
+
+
+def _enclosed(function: Any) -> dict[str, Any]:
+    """Values that a function has from the one in which it stands."""
+    found = {}
+    if isinstance(function, FunctionType):
+        cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        for name, cell in cells:
+            with suppress(ValueError):  # not bound yet
+                found[name] = cell.cell_contents
+    return found
 
 
 LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {

@@ -2,8 +2,15 @@
 
 import functools
 import linecache
+import re
 import sys
 import types
+from dataclasses import dataclass
+from datetime import date
+from decimal import Decimal
+from enum import Enum
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,6 +132,50 @@ def test_values_that_a_function_encloses_count():
     assert len(set(codes)) == len(codes)
     assert code_of(make({"a", "b"})) == code_of(make({"b", "a"}))
     assert code_of(functools.partial(make, 1)) != code_of(functools.partial(make, 2))
+
+
+@dataclass(frozen=True)
+class Settings:
+    degree: int
+    law: object = None
+
+
+class Colour(Enum):
+    RED = 1
+    BLUE = 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (Fraction(1, 3), Fraction(2, 3)),
+        (Decimal("0.1"), Decimal("0.2")),
+        (b"a", b"b"),
+        (range(3), range(4)),
+        (slice(1), slice(2)),
+        (Path("a"), Path("b")),
+        (Colour.RED, Colour.BLUE),
+        (date(2026, 1, 1), date(2026, 1, 2)),
+        (re.compile("a"), re.compile("b")),
+        (np.sin, np.cos),
+        (max, min),
+        (np.ma.array([1, 2], mask=[0, 0]), np.ma.array([1, 2], mask=[0, 1])),
+        (np.array([1, None]), np.array([2, None])),
+        (types.SimpleNamespace(a=1), types.SimpleNamespace(a=2)),
+        (Settings(1), Settings(2)),
+        (Settings(1, ec.laws.Regularised(1, 1)), Settings(1, ec.laws.Regularised(2, 1))),
+        (ec.laws.MeanCurvature(1), ec.laws.MeanCurvature(2)),
+        (ec.problems.growing_sphere(alpha=1), ec.problems.growing_sphere(alpha=2)),
+        (ec.problems.growing_sphere(u0=4), ec.problems.growing_sphere(u0=5)),
+        (ec.Problem(1.0, f=lambda at: at.u), ec.Problem(1.0, f=lambda at: 2 * at.u)),
+    ],
+)
+def test_another_value_of_a_name_is_other_code(old, new):
+    def make(value):
+        return lambda size: size * value
+
+    assert code_of(make(old)) == code_of(make(old))
+    assert code_of(make(old)) != code_of(make(new))
 
 
 def test_recursion_ends():
