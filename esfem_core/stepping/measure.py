@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,14 @@ class Measures(NamedTuple):
     min_angle: float
     amount: Array | float
     amounts: Mapping[str, Array | float]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle without the read-only view of a mapping."""
+        return _rebuild, (tuple(self)[:-1], dict(self.amounts))
+
+
+def _rebuild(values: tuple[Any, ...], amounts: dict[str, Array | float]) -> Measures:
+    return Measures._make((*values, MappingProxyType(amounts)))
 
 
 def measure(state: State) -> Measures:

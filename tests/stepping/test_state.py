@@ -123,6 +123,15 @@ def test_pickles_keep_every_bit_and_are_read_only():
             assert ours is None or not ours.flags.writeable
 
 
+def test_measures_come_back_from_another_process_and_are_read_only():
+    m = ec.measure(RUN[-1])
+    again = pickle.loads(pickle.dumps(m))
+    assert (again.area, list(again.amounts)) == (m.area, list(m.amounts))
+    np.testing.assert_array_equal(again.centre, m.centre)
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        again.amounts["u"] = 0.0
+
+
 def test_pickles_keep_the_space():
     again = pickle.loads(pickle.dumps(RUN[-1]))
     np.testing.assert_array_equal(again.space.cells, SPACE.cells)
