@@ -43,6 +43,8 @@ from esfem_core.laws.values import Once, values_at
 
 __all__ = ["MeanCurvature"]
 
+OFF = 0.5  # from length one: values that have evolved are not exact
+
 Initial = Callable[[Array], ArrayLike] | Array
 
 
@@ -71,7 +73,8 @@ class MeanCurvature(Law):
     Raises
     ------
     ValueError, TypeError
-        If a parameter is out of range or no function where one is needed.
+        If a parameter is out of range or no function where one is needed; when a run begins, if
+        the normal points inwards or is far from length one, or the curvature has the other sign.
 
     Examples
     --------
@@ -108,26 +111,32 @@ class MeanCurvature(Law):
 
     @property
     def species(self) -> Mapping[str, Species]:
-        """The normal and the mean curvature."""
+        """The normal and the mean curvature; `initial` has their initial values."""
         options: dict[str, Any] = {"diffusivity": self.beta, "conserved": False}
         return {
-            "normal": Species(_given("normal", self.normal, (3,)), self._normal_source, **options),
-            "H": Species(
-                _given("curvature", self.curvature, ()), self._curvature_source, **options
-            ),
+            "normal": Species(None, self._normal_source, **options),
+            "H": Species(None, self._curvature_source, **options),
         }
 
     def initial(self, at: Surface) -> Mapping[str, Array]:
-        """Normal and curvature of the mesh, where they are not given."""
-        normal, H = self.normal, None
+        """Normal and curvature, from the mesh where they are not given.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the given normal is not that of the surface, outwards and of length one, or the
+            curvature has the other sign.
+        """
+        normal, H = _given("normal", self.normal, at, (3,)), _given("curvature", self.curvature, at)
+        if normal is not None:
+            _check_outward(at, normal)
+        if H is not None:
+            _check_sign(at, H)
         if normal is None:
-            normal, H = normal_and_curvature(at)
-        elif callable(normal):
-            normal = finite_array("normal", normal(at.x.copy()), at.x.shape)
-        values: dict[str, Array] = {} if self.normal is not None else {"normal": normal}
-        if self.curvature is None:
-            values["H"] = smoothed_divergence(at, normal) if H is None else H
-        return values
+            normal, own = normal_and_curvature(at)
+        elif H is None:
+            own = smoothed_divergence(at, normal)
+        return {"normal": normal, "H": own if H is None else H}
 
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
@@ -165,11 +174,39 @@ class MeanCurvature(Law):
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
 
 
-def _given(name: str, values: Initial | None, trailing: tuple[int, ...]) -> Initial | None:
-    """Initial values, those of a function checked."""
-    if values is None or not callable(values):
-        return values
-    return lambda x: finite_array(f"{name}(x)", values(x.copy()), (len(x), *trailing))
+def _check_outward(at: Surface, normal: Array) -> None:
+    """Refuse what is far from the normal of the mesh: the surface would move another way."""
+    length = np.linalg.norm(normal, axis=1)
+    off = np.abs(length - 1) > OFF
+    bad = off | ((normal * nodal_average(at, at.normal)).sum(axis=1) <= 0)
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise ValueError(
+            "normal must point outwards and have length one, but at node "
+            f"{i}, {at.x[i].tolist()}, it is {normal[i].tolist()}"
+        )
+
+
+def _check_sign(at: Surface, H: Array) -> None:
+    """Refuse a curvature of the other sign: the integral of H x.nu is twice the area."""
+    off = at.points - at.mean(at.points)
+    if at.integral(at.space.evaluate(H) * (off * at.normal).sum(axis=-1)) < 0:
+        raise ValueError(
+            "curvature must be the sum of the principal curvatures, positive for a sphere, but "
+            "has the other sign"
+        )
+
+
+def _given(
+    name: str, values: Initial | None, at: Surface, trailing: tuple[int, ...] = ()
+) -> Array | None:
+    """Nodal values that are given as such or as a function."""
+    shape = (len(at.x), *trailing)
+    if values is None:
+        return None
+    if callable(values):
+        return finite_array(f"{name}(x)", values(at.x.copy()), shape)
+    return finite_array(name, values, shape)
 
 
 def _squared_weingarten(at: Surface) -> Array:

@@ -248,6 +248,38 @@ def test_refused():
         final(ec.evolve(space, wrong, 1, 0.1, 0.1))
 
 
+SPHERE = ec.exact_surfaces.Sphere()
+
+
+@pytest.mark.parametrize(
+    "normal",
+    [
+        lambda x: -x,
+        lambda x: 3 * x,
+        lambda x: 0 * x,
+        lambda x: np.cross(x, [0, 0, 1]),
+        lambda x: np.where(np.arange(len(x))[:, None] == 5, -x, x),
+    ],
+)
+def test_what_is_no_outward_normal_is_refused_before_a_step(normal):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    for given in (normal, normal(space.nodes)):
+        law = ec.laws.MeanCurvature(1.0, None, given, SPHERE.mean_curvature)
+        with pytest.raises(
+            ValueError, match="normal must point outwards and have length one, but at"
+        ):
+            next(iter(ec.evolve(space, ec.Problem(law=law), 1, 0.1, 0.1)))
+
+
+def test_a_curvature_of_the_other_sign_is_refused_before_a_step():
+    space = torus_space(12, 6)
+    law = ec.laws.MeanCurvature(1.0, None, TORUS.normal, lambda x: -TORUS.mean_curvature(x))
+    with pytest.raises(
+        ValueError, match=r"curvature must be .* positive for a sphere, but has the o"
+    ):
+        next(iter(ec.evolve(space, ec.Problem(law=law), 1, 0.1, 0.1)))
+
+
 def test_the_length_of_the_normal_is_at_rest_where_the_surface_is():
     """A normal of length 1 + eps neither grows nor decays on a sphere that a force holds."""
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
