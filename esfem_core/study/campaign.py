@@ -22,6 +22,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import loads
@@ -250,7 +251,7 @@ def _computed(compute: Callable[..., Any], parameters: Parameters, code: str) ->
     # later than the one that began the study tells what it has read.
     where = environment(code_of(compute) if is_of_package(compute) else code)
     start = time.perf_counter()
-    results = plain("results", compute(**parameters))
+    results = plain("results", compute(**deepcopy(dict(parameters))))  # which it may change
     if not isinstance(results, dict):
         raise TypeError(f"results must be a dict, got {shown(results)}")
     return Row(parameters, results, {"seconds": round(time.perf_counter() - start, 3), **where})

@@ -154,6 +154,20 @@ def test_a_study_ends_at_once_when_progress_raises(tmp_path):
     assert len(read(tmp_path / "power.jsonl")) == 1
 
 
+def test_a_function_that_changes_its_arguments_changes_no_case(tmp_path):
+    def compute(axes, options):
+        axes.append(7)
+        options["tol"] = 0
+        return {"n": len(axes)}
+
+    cases = grid(axes=([1], [1, 2]), options=({"tol": 1},))
+    results, _ = study(tmp_path, cases, compute)
+    assert [row.parameters for row in results.rows] == cases
+    assert [row.results["n"] for row in results.rows] == [2, 3]
+    assert read(tmp_path / "compute.jsonl") == results.rows
+    assert study(tmp_path, cases, compute)[1][0].endswith("found")
+
+
 def test_a_result_does_not_hide_the_parameter_of_its_name(tmp_path):
     results, _ = study(tmp_path, grid(h=(0.5,)), lambda h: {"h": 0.25}, name="n")
     assert [line.split() for line in str(results).splitlines()] == [
