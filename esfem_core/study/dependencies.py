@@ -47,6 +47,9 @@ BY_TEXT = (
 )
 """Values that their `repr` tells all of."""
 
+WRAPPED = ("__wrapped__", "pyfunc", "py_func")
+"""Where functools.cache, numpy.vectorize and the like keep the function that they call."""
+
 
 @dataclass(frozen=True)
 class _Module:
@@ -156,6 +159,8 @@ class _Walk:
             )
         else:
             self.add(type(value))
+            inner = getattr(value, "__dict__", {})
+            self._add_all(inner[name] for name in WRAPPED if name in inner)
 
     def _add_all(self, values: Any) -> None:
         for value in values:

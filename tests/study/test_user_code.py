@@ -158,6 +158,8 @@ class Colour(Enum):
         (date(2026, 1, 1), date(2026, 1, 2)),
         (re.compile("a"), re.compile("b")),
         (np.sin, np.cos),
+        (functools.cache(lambda x: x + 1), functools.cache(lambda x: x + 2)),
+        (np.vectorize(lambda x: x + 1), np.vectorize(lambda x: x + 2)),
         (max, min),
         (np.ma.array([1, 2], mask=[0, 0]), np.ma.array([1, 2], mask=[0, 1])),
         (np.array([1, None]), np.array([2, None])),
