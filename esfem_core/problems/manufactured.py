@@ -107,6 +107,13 @@ class Expressions:
         self.rates = self._numeric([sympy.diff(w, t) for w in self.expressions], (count,))
         hessian = [sympy.diff(w, s) for w in gradient for s in space]
         self.hessians = self._numeric(hessian, (count, 3, 3))
+        try:
+            self.jet(np.ones((1, 3)), 1.0)
+        except (NameError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"{name} must be smooth and of functions that NumPy has, but it or one of its "
+                f"derivatives is not: {error}"
+            ) from None
 
     def jet(self, x: Array, t: float) -> Jet:
         """Of points (..., 3)."""
@@ -229,8 +236,9 @@ def manufactured(
     ImportError
         Without sympy (``pip install esfem-core[symbolic]``).
     ValueError, TypeError
-        If an expression has other symbols or cannot be read, d has no zeros or a vanishing gradient
-        there, X(p, 0) is not p, or X(p, t) leaves the surface; or if a number is out of range.
+        If an expression has other symbols, cannot be read, or is not smooth, as those with absolute
+        values; if d has no zeros or a vanishing gradient there, X(p, 0) is not p, or X(p, t) leaves
+        the surface; or if a number is out of range.
 
     Examples
     --------
@@ -379,7 +387,7 @@ def _expression(name: str, given: Any, known: dict[str, Any]) -> Any:
     except (sympy.SympifyError, TypeError, SyntaxError, AttributeError) as error:
         raise ValueError(f"{name} must be an expression, got {shown(given)}: {error}") from None
     allowed = ", ".join(known)
-    if not isinstance(expression, sympy.Expr):
+    if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise TypeError(f"{name} must be an expression in {allowed}, got {shown(given)}")
     symbols = sorted(expression.free_symbols, key=str)
     strange = [str(s) for s in symbols if str(s) not in known]

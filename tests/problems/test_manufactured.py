@@ -243,6 +243,9 @@ class TestRefused:
             (UNIT, STILL, "p1", "u must be an expression in x1, x2, x3, t, but has p1"),
             (UNIT, STILL, "f(x1)", "u must be an expression in x1, x2, x3, t, but has f"),
             ("x1 +* x2", STILL, None, "d must be an expression, got"),
+            (UNIT, STILL, "abs(x1)", "u must be smooth and of functions that NumPy has, but it or"),
+            (UNIT, STILL, "Max(x1, 0)", "u must be smooth and of functions that NumPy has"),
+            (UNIT, STILL, "erf(x1)", "u must be smooth and of functions that NumPy has"),
             (UNIT, "p1", None, "motion must be three expressions"),
             (UNIT, ["p1", "p2"], None, "motion must be three expressions"),
             (UNIT, ["2*p1", "p2", "p3"], None, r"motion must have X\(p, 0\) = p, but takes"),
@@ -259,6 +262,8 @@ class TestRefused:
     def test_what_is_no_expression(self):
         with pytest.raises(TypeError, match="d must be an expression in x1, x2, x3, t, got"):
             ec.manufactured("x1 < 0", STILL)
+        with pytest.raises(TypeError, match="u must be an expression in x1, x2, x3, t, got Matrix"):
+            ec.manufactured(UNIT, STILL, sympy.Matrix([x[0]]))
 
     def test_numbers_out_of_range(self):
         for name in ("alpha", "beta", "diffusivity", "until"):
