@@ -48,7 +48,7 @@ ENDED = "the run has ended: esfem_core.save(path, states) saves what was yielded
 
 
 def save(path: str | os.PathLike[str], states: Iterable[State] | State) -> None:
-    """Save states, so that a run can go on from them exactly.
+    """Save states, bit for bit, so that a run can go on from them.
 
     The file is a NumPy archive (npz) without pickled objects. At any moment, also if the disk is
     full or the process is killed, either the old file or the new one is there whole.

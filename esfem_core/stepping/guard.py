@@ -20,7 +20,7 @@ GROWTH = 1e6  # of the largest value since the start: from here on worth a warni
 
 
 class EvolutionWarning(UserWarning):
-    """A run goes where it will probably not survive."""
+    """A run will hardly survive, cannot be saved, or has a slip that is not tangential."""
 
 
 class Guard:

@@ -76,7 +76,8 @@ def evolve(
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
 
     For the coupled system, [N] (2.19)-(2.21), with :math:`K = M + \alpha A` and the extrapolations
-    :math:`\tilde x^n = \sum_j \gamma_j x^{n-1-j}` and :math:`\tilde u^n` likewise:
+    :math:`\tilde x^n = \sum_j \gamma_j x^{n-1-j}` and :math:`\tilde u^n` likewise; this is
+    ``mass="extrapolated"``, and by default the mass matrices of the first line are M(x^{n-j}):
 
     .. math::
 
@@ -85,9 +86,10 @@ def evolve(
         K(\tilde x^n) v^n + \beta A(\tilde x^n) x^n &= g(\tilde x^n, \tilde u^n) \\
         \frac1\tau \sum_{j=0}^p \delta_j x^{n-j} &= v^n
 
-    Each step assembles once and solves one (N, N) system for u and one for the three components
-    of v. For a prescribed motion, [LMV] (3.1): the same without the last two lines, on the exact
-    nodes x^n. Other species and laws take the places of u and of the second line.
+    Each step assembles M and A at x~^n (by default also M at x^n) and solves one (N, N) system for
+    u and one for the three components of v. For a prescribed motion, [LMV] (3.1): the same without
+    the last two lines, on the exact nodes x^n. Other species and laws take the places of u and of
+    the second line.
 
     Parameters
     ----------
@@ -101,8 +103,8 @@ def evolve(
     step : float
         Step size tau.
     end : float
-        Final time, an integer number of steps (to 1e-9) after the last starting state, and so at
-        least (p - 1) steps after the first.
+        Final time, an integer number of steps (to a relative 1e-9) after the last starting state,
+        and so at least (p - 1) steps after the first.
     mass : {"updated", "extrapolated", "reassembled"}
         Where the mass matrices of the species are taken; no difference for a prescribed motion,
         and the functions that a law carries always have those of (2.19).
@@ -122,8 +124,9 @@ def evolve(
         the default if it is given with all functions. "euler": linearly implicit Euler steps,
         extrapolated to order p, with updated mass matrices. Otherwise the states to start from, of
         which the last p count, a step apart: the run goes on from the last one. From its own states
-        it goes on exactly, as if it had not been interrupted; :func:`esfem_core.respaced` makes
-        states that are another step apart.
+        it goes on as if it had not been interrupted, to the last bit with direct solves and else
+        to the tolerance of the solver; :func:`esfem_core.respaced` makes states that are another
+        step apart.
         Exact values at (p - 1) tau also restart the spatial error there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
@@ -167,15 +170,18 @@ def evolve(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument is out of range, or the surface has a boundary that is to be moved by another
         law than :class:`esfem_core.laws.Prescribed`; at the call, before anything is computed.
+    FileNotFoundError
+        If the directory of `save` does not exist.
     ImportError
         If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
         If a run meets a value that is not finite or has grown beyond `growth`, if an element
-        degenerates or turns over, or a component of the surface turns inside out. The states
-        yielded before are good. A surface that passes through itself is not noticed.
+        degenerates or turns over, a component of the surface turns inside out, or a linear system
+        is not solved to its tolerance. The states yielded before are good. A surface that passes
+        through itself is not noticed.
 
     Warns
     -----
@@ -183,7 +189,9 @@ def evolve(
         If `save` cannot be written; the run goes on, and an older file is untouched.
         Once, where an angle falls below one degree or values have grown by a factor of 1e6: the run
         will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more, or
-        with p = 4 or more, which is unstable.
+        with p = 4 or more, which is unstable; and for a slip of which more than a fifth is normal.
+    UserWarning
+        At the call, for p = 6.
 
     Examples
     --------

@@ -57,7 +57,7 @@ def count_steps(start: float, step: float, end: float) -> int:
     ------
     ValueError, TypeError
         If a number is not finite, the step is not positive, the end before the start, or the number
-        of steps not an integer to 1e-9.
+        of steps not an integer to a relative 1e-9.
 
     Examples
     --------
