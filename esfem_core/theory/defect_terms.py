@@ -43,9 +43,9 @@ def temporal_terms_v(
     Returns
     -------
     dict of str to (N, 3) float array
-        "M", "alpha A" and "beta A": the matrices at x~_* minus those at x_*. "g, surface": the
-        same for g. "g, extrapolated u": g(x~_*, u_*) - g(x~_*, u~_*), which the scheme has and
-        (6.1) has not.
+        "M", "alpha A" and "beta A": the matrices at x~_* minus those at x_*, applied to v_*, v_*
+        and x_*. "g, surface": g(x_*, u_*) - g(x~_*, u_*), since g stands on the other side.
+        "g, extrapolated u": g(x~_*, u_*) - g(x~_*, u~_*), which the scheme has and (6.1) has not.
 
     Raises
     ------
@@ -83,9 +83,10 @@ def temporal_terms_u(
     -------
     dict of str to (N,) float array
         "BDF": the quotient minus the derivative of M(x~_*) u_*. "(6.9)": M(x~_*) - M(x_*), applied
-        to the material derivative of u. "(6.16)": the velocity of the extrapolated surface against
-        the exact one. "(6.17)": the same divergence on both surfaces. "A": A(x~_*) - A(x_*).
-        "(6.22)": f on both surfaces. "f, extrapolated u": as in :func:`temporal_terms_v`.
+        to the material derivative of u. "(6.16)": q with the velocity of the extrapolated surface
+        minus q with the exact one, both at x~_*. "(6.17)": q with the exact one at x~_* minus that
+        at x_*. "A": A(x~_*) - A(x_*), applied to u_*. "(6.22)": f(x_*, u_*) - f(x~_*, u_*).
+        "f, extrapolated u": f(x~_*, u_*) - f(x~_*, u~_*).
 
     Raises
     ------
