@@ -102,8 +102,8 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
 
     Raises
     ------
-    ValueError
-        If the sizes do not match, or the functional is not finite.
+    TypeError, ValueError
+        If K is neither, the sizes do not match, or the functional is not finite.
 
     Examples
     --------
@@ -156,7 +156,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     Parameters
     ----------
     space, problem : SurfaceSpace, Problem
-        With an exact solution. A problem with a prescribed motion is one of [LMV].
+        With an exact solution. A problem with a prescribed motion is one of [LMV]. The species "u"
+        must be conserved and without a rate, its diffusivity constant.
     order : int
         p.
     step : float
@@ -228,8 +229,8 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     Parameters
     ----------
     space, problem : SurfaceSpace, Problem
-        With an exact solution, defined also a little before and after t, of which u_* is
-        differentiated numerically to about 12 digits.
+        As for :func:`defects`; the exact solution is defined also a little before and after t,
+        since u_* is differentiated numerically, to about 12 digits.
     t : float
 
     Returns

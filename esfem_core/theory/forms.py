@@ -145,11 +145,11 @@ def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
 
 def deformation(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
-    r"""The matrix D(v) that changes the Dirichlet integral of a moving surface.
+    r"""The matrix D(v) by which a motion with velocity v changes the Dirichlet integral.
 
     .. math:: D(v) = \operatorname{tr}(E)\, I - (E + E^T), \qquad E = \nabla_{\Gamma_h} v
 
-    [N] Lemma 3.1 (i). It says how fast a motion with velocity v changes the Dirichlet integral.
+    [N] Lemma 3.1 (i); see :func:`stiffness_rate`.
 
     Parameters
     ----------
@@ -176,9 +176,9 @@ def _velocity_gradient(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
 
 def mass_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
-    r"""Matrix of q, the rate of change of the mass matrix.
+    r"""Matrix of q ([N] 5.2), the rate of change of the mass matrix.
 
-    [N] 5.2: if the nodes move with velocities v, then
+    [N] Lemma 3.1 (i): if the nodes move with velocities v, then
 
     .. math::
 

@@ -48,12 +48,12 @@ def bdf_kernel(p: int, degree: int | None = None) -> "PPoly":
     Returns
     -------
     scipy.interpolate.PPoly
-        kappa on [0, p], zero beyond. For q = p its integral is the error constant -1/(p+1).
+        kappa on [0, p], NaN outside. For q = p its integral is the error constant -1/(p+1).
 
     Raises
     ------
     TypeError, ValueError
-        If `p` is not a positive integer, or `degree` not one of 1, ..., p.
+        If `p` is not one of 1, ..., 30, or `degree` not one of 1, ..., p.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def extrapolation_kernel(p: int, degree: int | None = None) -> "PPoly":
     Returns
     -------
     scipy.interpolate.PPoly
-        kappa on [0, p], zero beyond. For q = p its integral is -1.
+        kappa on [0, p], NaN outside. For q = p its integral is -1.
 
     Raises
     ------
