@@ -67,9 +67,9 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
 
     Raises
     ------
-    ValueError
-        If the matrix is not square, `w` does not have one row for each of its own, something is
-        not finite, or w^T matrix w is negative beyond rounding.
+    TypeError, ValueError
+        If the matrix is not sparse and square, `w` does not have one row for each of its own,
+        something is not finite, or w^T matrix w is negative beyond rounding.
 
     Examples
     --------

@@ -109,7 +109,7 @@ def viewer(
     Raises
     ------
     TypeError, ValueError
-        If `duration` or `limits` are none.
+        If `duration` is not a positive integer, or `limits` not two numbers that increase.
     """
     duration = whole_number("duration", duration, 1, LONGEST)
     room = cube([shot.x for shot in shots])

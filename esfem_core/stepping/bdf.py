@@ -114,6 +114,11 @@ def extrapolate(values: Sequence[Array]) -> Array:
     -------
     array of this shape
 
+    Raises
+    ------
+    TypeError, ValueError
+        If there is none, or they are not real arrays of one shape.
+
     Examples
     --------
     >>> extrapolate([np.array([4.0]), np.array([1.0]), np.array([0.0])])  # of t^2

@@ -44,8 +44,8 @@ class State:
     fields : mapping of str to (N, ...) float array, optional
         Nodal values of all species, and of the fields of the law.
     products : mapping of str to (N, ...) float array, optional
-        M(x~) w for the conserved fields w, with the mass matrices of the scheme: what a run needs
-        to go on exactly.
+        M w for the conserved fields w, with the mass matrices that the scheme takes (see `mass` of
+        :func:`esfem_core.evolve`): what a run needs to go on exactly.
     method : (str, int, float), optional
         The scheme that `products` belong to: mass, order and step. Another one makes its own.
 
@@ -229,7 +229,8 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     TypeError
         If it is no state.
     ValueError
-        If an array has not one row for each node of the space, or something is not finite.
+        If it is a state of another space, an array has not one row for each node of the space, a
+        function more than one index beside that, or something is not finite.
 
     Examples
     --------

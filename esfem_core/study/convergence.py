@@ -299,7 +299,8 @@ def time_study(
     Raises
     ------
     TypeError, ValueError
-        If an argument is out of range or there is nothing to compare with; before a run begins.
+        If an argument is out of range or there is nothing to compare with, before a run begins; if
+        `reference` is of another space or not at `end`, after the first one.
 
     Examples
     --------

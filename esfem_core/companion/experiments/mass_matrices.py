@@ -138,8 +138,8 @@ SURFACES = {
 def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int) -> dict[str, Any]:
     """Distances in time from a fine run on the same mesh, 162 nodes, for the three mass terms.
 
-    Starting values are those of the fine run (p = 5), past the layer in which a discrete initial
-    value settles. Direct solves.
+    Starting values are those of the fine run (p = 5, mass="extrapolated"), on the growing sphere
+    and the ellipsoid past the layer in which a discrete initial value settles. Direct solves.
 
     Parameters
     ----------
