@@ -157,7 +157,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     ----------
     space, problem : SurfaceSpace, Problem
         With an exact solution. A problem with a prescribed motion is one of [LMV]. The species "u"
-        must be conserved and without a rate, its diffusivity constant.
+        must be conserved, without a rate and without given values, its diffusivity constant.
     order : int
         p.
     step : float
@@ -353,12 +353,17 @@ def constant_diffusivity(problem: Problem) -> float | Array:
     Raises
     ------
     TypeError
-        If it is a function.
+        If it is a function, or the equation of "u" is another than that of the papers.
     """
-    D = problem.species["u"].diffusivity
-    if callable(D):
+    u = problem.species["u"]
+    if callable(u.diffusivity):
         raise TypeError("the theory is for constant diffusivities, got a function")
-    return D
+    if not u.conserved or u.rate is not None or u.fixed is not None:
+        raise TypeError(
+            'the theory is for a species "u" that is conserved, without a rate and without given '
+            f"values, got conserved={u.conserved}, rate={shown(u.rate)}, fixed={shown(u.fixed)}"
+        )
+    return u.diffusivity
 
 
 def regularised_law(problem: Problem) -> Regularised | None:

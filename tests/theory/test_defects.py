@@ -1,5 +1,6 @@
 """Defects: perturbed runs that return the exact values, orders, and the splits of the proof."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -268,6 +269,17 @@ def test_sources_of_another_shape_or_not_finite_are_refused(returned, error, mes
     problem = ec.Problem(u0=lambda x: x[:, 0], g=returned)
     with pytest.raises(error, match=message):
         source_load(space, problem, "g", space.nodes, space.nodes[:, 0], 0.0)
+
+
+@pytest.mark.parametrize("other", [{"rate": 3.0}, {"conserved": False}, {"fixed": 1.0}])
+def test_equations_that_the_papers_do_not_have_are_refused(other):
+    """Their defects would silently be those of another equation."""
+    species = {"u": replace(EXPANDING.species["u"], **other)}
+    problem = ec.Problem(species=species, law=EXPANDING.law, exact=EXPANDING.exact)
+    with pytest.raises(TypeError, match='species "u" that is conserved, without a rate'):
+        defects(space_of(0), problem, 2, 0.1, 3)
+    with pytest.raises(TypeError, match=next(iter(other))):
+        spatial_defects(space_of(0), problem, 0.1)
 
 
 def test_nodal_values_of_another_shape_are_refused():
