@@ -25,7 +25,7 @@ from esfem_core.checks import (
 from esfem_core.elements import SurfaceSpace
 from esfem_core.errors import Errors, Measure, compare, difference, lifted
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, evolve
+from esfem_core.stepping import State, check_state, evolve
 from esfem_core.tables import html_table
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
@@ -299,8 +299,7 @@ def time_study(
     Raises
     ------
     TypeError, ValueError
-        If an argument is out of range or there is nothing to compare with, before a run begins; if
-        `reference` is of another space or not at `end`, after the first one.
+        If an argument is out of range or there is nothing to compare with, before a run begins.
 
     Examples
     --------
@@ -326,15 +325,17 @@ def time_study(
     order, taus, end = whole_number("order", order, 1), _sizes("steps", steps), number("end", end)
     if reference is not None:
         object_of("reference", reference, State, "or None")
+        check_state(space, reference, "reference")
     starts: list[dict[str, Any]] = [{} for _ in taus]
     if fine is not None:
         if reference is not None or "start" in options:
             raise ValueError("fine gives the reference and the starting values: leave those out")
         fine = items("fine", fine, State, 2)
-        if abs(fine[-1].t - end) > 1e-9 * max(1.0, abs(end)):
-            raise ValueError(f"fine must end at t = {end:g}, but ends at t = {fine[-1].t:g}")
         reference = fine[-1]
         starts = [{"start": _every(fine, tau)[:order]} for tau in taus]
+    if reference is not None and abs(reference.t - end) > 1e-9 * max(1.0, abs(end)):
+        name = "reference" if fine is None else "fine"
+        raise ValueError(f"{name} must end at t = {end:g}, but ends at t = {reference.t:g}")
     _check_comparable(problem, reference, measure)
     runs = [  # made before the first one begins, so that all arguments are checked
         evolve(space, problem, order, tau, end, **start, **options)

@@ -172,6 +172,12 @@ def test_studies_refuse_before_they_compute():
         time_study(SPACE, GROWING, 2, [0.1, 0.3], 0.5, solver=solver)
     with pytest.raises(ValueError, match="mesh sizes of spaces must be positive, neighbours diff"):
         space_study([SPACE, SPACE], ec.problems.expanding_sphere(), 2, 0.1, 0.5, solver=solver)
+    with pytest.raises(ValueError, match=r"reference must end at t = 0\.5, but ends at t = 0\.3"):
+        time_study(SPACE, GROWING, 2, [0.1], 0.5, reference=FINE[48], solver=solver)
+    coarse = ec.SurfaceSpace(ec.sphere("icosahedron", 0))
+    other = ec.State(0.5, coarse.nodes, None, coarse.nodes[:, 0], space=coarse)
+    with pytest.raises(ValueError, match="reference must be a state of this space"):
+        time_study(SPACE, GROWING, 2, [0.1], 0.5, reference=other, solver=solver)
     uneven = [FINE[0], FINE[16], *FINE[24:]]
     with pytest.raises(ValueError, match=r"fine must have a constant step, but t = 0\.15 is no mu"):
         time_study(SPACE, GROWING, 2, [0.1], 0.5, fine=uneven, solver=solver)
