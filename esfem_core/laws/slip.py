@@ -18,19 +18,20 @@ one,
 
 .. math:: E = \frac12 \int |\nabla X|^2 + \frac a2 \int \frac{J^2}{\bar J}
 
-with the factor J of areas and its mean, along the surface only. With a = 0 this is the harmonic map
-heat flow, the DeTurck trick of C. M. Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a
-sphere harmonic maps are conformal, and keep the angles of the triangles, but not their sizes. J^2
-keeps the sizes: the least deformation is between the two. With nodal derivatives f = dE/dx,
-matrices on the initial surface and P the projections to the tangent planes at the nodes,
+with the factor J of areas and its mean, all integrals over the initial surface; nodes move along
+the surface only. With a = 0 this is the energy of harmonic maps, as in the DeTurck trick of C. M.
+Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a sphere harmonic maps are conformal, and
+keep the angles of the triangles, but not their sizes. J^2 keeps the sizes: the least deformation is
+between the two. With nodal derivatives f = dE/dx, matrices on the initial surface, s the squared
+radius of a sphere of its area, and P the projections to the tangent planes at the nodes,
 
 .. math::
 
     w = -\varrho\, P B P f, \qquad B = s\, (M + s A)^{-1}, \qquad
     \frac{\mathrm dE}{\mathrm dt} = -\varrho\, (P f)^T B\, (P f) \le 0.
 
-B makes w smooth and slow, so that it may be explicit: all wave lengths relax with about the rate
-:math:`\varrho`.
+B makes w smooth and slow, so that it may be explicit: all wave lengths relax with rates of about
+:math:`\varrho` to :math:`(1 + a) \varrho`.
 """
 
 from collections.abc import Callable, Mapping
@@ -65,8 +66,9 @@ class Elastic:
     ----------
     rate : float
         How fast, per unit of time; larger than the rate at which the surface deforms. It is
-        explicit: rate times the step must stay below 2, 4/3, 0.95, 0.7, 0.5 for p = 1, ..., 5, and
-        below a tenth of that where the deformation is strong.
+        explicit: (1 + area) times rate times the step must stay below about 1.7, 1.1, 0.8, 0.6,
+        0.45 for p = 1, ..., 5 near a sphere at the start, below a quarter of that near a torus of
+        radii 1 and 0.4, and below a tenth where the deformation is strong.
     area : float
         The weight a of the areas; 0 makes the map harmonic.
 
