@@ -7,7 +7,8 @@ extrapolated surface
 
 where by linearity v_1 is the law's velocity and v_2 the answer to a unit force along the normal:
 
-- regularised law: K v_2 = load(nu), solved together with v_1 by one factorisation;
+- regularised law: (K + beta tau A) v_2 = load(nu), the matrix of v_1, whose x = tau v - past is
+  implicit; both are solved for by one factorisation;
 - mean curvature flow: v_2 = nu. Here lambda = mean(g - beta H) also stands in the equation of H,
   where, as all of g, it is extrapolated. For g = 0 this is V = beta (mean(H) - H), the flow of
   G. Huisken (J. reine angew. Math. 382, 1987).
