@@ -82,7 +82,8 @@ class Law(Protocol):
 
     # A law that knows the positions has a further method,
     #     position(nodes, t, before) -> (N, 3),
-    # and (2.20) is then assembled on them and not on an extrapolated surface: see `Prescribed`.
+    # and (2.19) and (2.20) are then assembled on them and not on an extrapolated surface: see
+    # `Prescribed`.
 
 
 def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, Species]:
