@@ -72,9 +72,10 @@ class Species:
     which for D = 1 without rate and flux is [N] (2.7) and [LMV] (2.1). In time, D, rate, source and
     flux are those of the extrapolated surface and functions; u itself is implicit, so that a large
     rate needs no small step, while a source -k u is stable for k tau < 2, 4/3, 20/21, 32/45,
-    256/465 (p = 1, ..., 5) only. A flux c grad u is explicit, too: with it a method is stable for
-    every step only while abs(c) < D/(2^p - 1). D = 0 is well posed, but a conserved species then
-    feels the divergence of the interpolated velocity undamped: its order in space is k in L2.
+    256/465 (p = 1, ..., 5) only. A flux c grad u is explicit, too: a method is stable for every
+    step if abs(c) < D/(2^p - 1), and is not if c < -D/(2^p - 1). D = 0 is well posed, but a
+    conserved species then feels the divergence of the interpolated velocity undamped: its order in
+    space is k in L2.
 
     At a boundary with conormal mu the natural condition is mu . (D grad u - flux) = 0: nothing
     passes, and without source the amount of a conserved species is kept. With `fixed`, u itself is
