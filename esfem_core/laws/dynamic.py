@@ -59,7 +59,7 @@ class Dynamic(Law):
     ----------
     v0 : callable, array or float
         Initial velocity: of points (N, 3), returning (N, 3); or the nodal values; or one vector
-        (3,); or 0.
+        (3,); or a number for all components.
     alpha, beta : float
         Viscosity alpha >= 0, positive in [N], and surface tension beta >= 0. Without viscosity the
         law is a wave equation, outside the theory.
