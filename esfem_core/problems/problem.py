@@ -137,8 +137,8 @@ class Problem:
     r"""Species that diffuse on a surface, and the law by which it moves.
 
     ``Problem(u0, f, g, alpha, beta, diffusivity)`` is the coupled problem of [N], (2.7) and (2.8),
-    with u' the material derivative, H the sum of the principal curvatures (positive on a sphere)
-    and nu the outward unit normal,
+    with :math:`\partial^\bullet` the material derivative, H the sum of the principal curvatures
+    (positive on a sphere) and nu the outward unit normal,
 
     .. math::
 

@@ -1,4 +1,4 @@
-"""Spheres of radius r(t) with exact solutions: two are forced, two solve one equation."""
+"""Spheres of radius r(t) with exact solutions: two are forced, two solve an equation for r."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -45,6 +45,7 @@ def expanding_sphere(
         "smooth": g = c + (u - a x1 x2 x3), which is well posed. "printed": the thesis'
         g = c u/(a x1 x2 x3), which is 0/0 on three great circles. "none": g = c.
     alpha, beta : float
+        As for :class:`Problem`.
 
     Returns
     -------
@@ -52,8 +53,8 @@ def expanding_sphere(
 
     Raises
     ------
-    ValueError
-        If `coupling` is unknown.
+    ValueError, TypeError
+        If `coupling` is unknown or a parameter out of range.
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
 
@@ -207,13 +208,21 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
 
     Parameters
     ----------
-    alpha, beta, u0 : float
+    alpha, beta : float
+        As for :class:`Problem`.
+    u0 : float
+        The constant u at the start.
 
     Returns
     -------
     Problem
         With alpha = 0, its exact solution ends at t = 1/(4 beta), and asking for a later time is a
         ValueError.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range.
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     u0 = number("u0", u0)
@@ -261,11 +270,21 @@ def growing_sphere(
 
     Parameters
     ----------
-    alpha, beta, delta, u0 : float
+    alpha, beta : float
+        As for :class:`Problem`.
+    delta, u0 : float
+        How strongly u drives the surface, and the constant u at the start.
 
     Returns
     -------
     Problem
+        If the sphere vanishes, as for delta u0 < 0, asking for the exact solution at a later time
+        is a ValueError.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a parameter is out of range.
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     delta, u0 = number("delta", delta), number("u0", u0)
