@@ -14,8 +14,8 @@ of gradients of functions on the element, are
     - F\, (\partial_1 u\, \partial_2 w + \partial_2 u\, \partial_1 w)
     + E\, \partial_2 u\, \partial_2 w}{s^2}.
 
-This is [N] 7.2 with the third column of its 3 x 3 differential, the normal, eliminated. Each
-integral is then (products of basis functions at the quadrature points) @ (metric factors), one
+This is [N] Section 7.2 with the third column of its 3 x 3 differential, the normal, eliminated.
+Each integral is then (products of basis functions at the quadrature points) @ (metric factors), one
 small matrix product for many elements. Arrays here have the elements last.
 """
 

@@ -1,4 +1,4 @@
-"""Functions on a discrete surface, carried to the exact one by closest points ([N] 2.12)."""
+"""Functions on a discrete surface, carried to the exact one: lifts ([N] Section 2.12)."""
 
 from collections.abc import Callable
 
@@ -31,10 +31,10 @@ def squared_differences(
         \int_\Gamma |w^l - \text{function}|^2, \qquad
         \int_\Gamma |\nabla_\Gamma (w^l - \text{function})|^2
 
-    w^l(p(y)) = w(y) is the lift of the finite element function w on Γ_h[x] to Γ ([N] 2.12). With
-    the element map Phi, the point p(Phi(xi)) runs through a piece of Γ, so both integrals are
-    taken over the reference triangle with the metric of the tangents d p(Phi(xi))/d xi_i, and
-    gradients are those on Γ. The derivatives of p(Phi) and of function(p(Phi)) are differences
+    w^l(p(y)) = w(y) is the lift of the finite element function w on Γ_h[x] to Γ ([N] Section
+    2.12), with the closest point p. With the element map Phi, the point p(Phi(xi)) runs through a
+    piece of Γ, so both integrals are taken over the reference triangle with the metric of the
+    tangents d p(Phi(xi))/d xi_i, and gradients are those on Γ. The derivatives of p(Phi) and of function(p(Phi)) are differences
     of five points, exact for polynomials of degree 4; their error is below 1e-10 even on
     coarse meshes.
 

@@ -1,4 +1,4 @@
-"""Numbers and places of the nodes that a triangulation gets when its degree is raised, [N] 7.1."""
+"""Numbers and places of the nodes of a triangulation whose degree is raised, [N] Section 7.1."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The surface finite element space S_h[x] ([N] 2.8).
+"""The surface finite element space S_h[x] ([N] Section 2.8).
 
 Topology never changes; geometry is an (N, 3) array x of node positions. Γ_h[x] is "the space,
 at x", and every method that depends on the geometry takes x as its first argument.
@@ -67,8 +67,8 @@ class SurfaceSpace:
         Polynomial degree k of both functions and geometry, 1 or more.
     project : callable, optional
         (n, 3) -> (n, 3), moves the new nodes from the flat triangles to the surface, as in
-        [N] 7.1, for example :func:`esfem_core.to_unit_sphere`. The triangulation's own vertices
-        stay where they are, unless `project_vertices` is true.
+        [N] Section 7.1, for example :func:`esfem_core.to_unit_sphere`. The triangulation's own
+        vertices stay where they are, unless `project_vertices` is true.
     exactness : int, optional
         Degree up to which the quadrature is exact on the reference triangle. Default 2k: mass and
         stiffness matrices of flat elements are then exact, and integrals of smooth functions over
@@ -344,7 +344,7 @@ class SurfaceSpace:
         )
 
     def mass_stiffness(self, x: Array) -> tuple[csr_array, csr_array]:
-        r"""Mass and stiffness matrix on Γ_h[x] ([N] 2.10).
+        r"""Mass and stiffness matrix on Γ_h[x] ([N] Section 2.10).
 
         .. math::
 
@@ -669,7 +669,7 @@ class SurfaceSpace:
         return Fronts(dissect(self.cells, self.nodes), self.cells, self.pattern)
 
     def mesh_size(self, x: Array) -> float:
-        """h: the longest distance between two corners of an element of Γ_h[x] ([N] 2.8)."""
+        """h: the longest distance of two corners of an element of Γ_h[x] ([N] Section 2.8)."""
         corners = finite_array("x", x, self.nodes.shape)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 

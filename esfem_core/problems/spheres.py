@@ -27,7 +27,7 @@ MOST_EVALUATIONS = 100_000  # of the equation of a radius: a second of time
 def expanding_sphere(
     coupling: Coupling = "smooth", alpha: float = 1.0, beta: float = 1.0
 ) -> Problem:
-    r"""[N] 7.3: a sphere of radius r(t) = 1 + sin(pi t)/2 with u = a(t) x1 x2 x3, a = exp(-t^2).
+    r"""[N] Section 7.3: a sphere of radius r = 1 + sin(pi t)/2 with u = a x1 x2 x3, a = exp(-t^2).
 
     :math:`x_1 x_2 x_3` is an eigenfunction of the Laplace-Beltrami operator for
     :math:`-12/r^2`, so that

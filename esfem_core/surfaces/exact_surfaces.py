@@ -1,7 +1,7 @@
 """Surfaces known exactly: signed distance, normal, closest point, curvature.
 
-To compare a discrete surface with the surface it approximates ([N] 2.1, 2.2, 2.12), one needs for
-each point x nearby the decomposition x = p + d ν(p) and the curvature at p.
+To compare a discrete surface with the surface it approximates ([N] Sections 2.1, 2.2, 2.12), one
+needs for each point x nearby the decomposition x = p + d ν(p) and the curvature at p.
 """
 
 from abc import ABC, abstractmethod

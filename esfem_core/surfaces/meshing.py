@@ -1,4 +1,4 @@
-"""Triangulations of surfaces that are given by a function, [N] 7.1.
+"""Triangulations of surfaces that are given by a function, [N] Section 7.1.
 
 The thesis takes its linear triangulations from DistMesh, a program for MATLAB: points that push
 each other apart like compressed springs, on a surface given by its distance function. This is
