@@ -64,11 +64,12 @@ class SurfaceSpace:
     tri : trimesh.Trimesh
         Closed, oriented outwards; see :func:`esfem_core.check_triangulation`.
     degree : int
-        Polynomial degree k of both functions and geometry, 1 or more.
+        Polynomial degree k of both functions and geometry, 1 to 12.
     project : callable, optional
         (n, 3) -> (n, 3), moves the new nodes from the flat triangles to the surface, as in
-        [N] Section 7.1, for example :func:`esfem_core.to_unit_sphere`. The triangulation's own
-        vertices stay where they are, unless `project_vertices` is true.
+        [N] Section 7.1, for example :func:`esfem_core.to_unit_sphere`; by at most half of the
+        longest side of a triangle there. The triangulation's own vertices stay where they are,
+        unless `project_vertices` is true.
     exactness : int, optional
         Degree up to which the quadrature is exact on the reference triangle. Default 2k: mass and
         stiffness matrices of flat elements are then exact, and integrals of smooth functions over
@@ -102,7 +103,7 @@ class SurfaceSpace:
     ------
     TypeError, ValueError
         If `tri` is unfit, a number out of range, or `project` does not return finite points of
-        the shape it was given.
+        the shape it was given, or moves one too far, or makes elements fold back.
 
     Examples
     --------
@@ -634,7 +635,10 @@ class SurfaceSpace:
         return out.transpose(2, 1, 0)
 
     def density(self, x: Array) -> Array:
-        """Area density of Γ_h[x] over the reference triangle, (T, Q): the area is w @ density.T."""
+        """Area density of Γ_h[x] over the reference triangle, (T, Q).
+
+        ``space.density(x) @ space.rule.weights`` are the areas of the elements.
+        """
         out = np.empty((len(self.rule.weights), len(self.cells)))
 
         def fill(c: slice, g: Metric) -> None:
