@@ -62,7 +62,7 @@ class DegenerateElementError(ElementError):
 
 
 class NotFiniteError(ElementError):
-    """A function returned NaN or infinity in an element."""
+    """A function returned NaN, infinity or a coefficient out of range in an element."""
 
 
 class Metric(NamedTuple):

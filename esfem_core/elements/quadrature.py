@@ -73,7 +73,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If `exactness` is not one of 0, ..., 100.
 
     Examples

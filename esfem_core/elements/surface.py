@@ -63,6 +63,8 @@ class Surface:
     ------
     ValueError, TypeError
         If an array has the wrong shape or is not real.
+    KeyError
+        If a function is asked for that is not given.
     DegenerateElementError
         On first use of something, if an element has no area or a position is not finite.
 
@@ -242,7 +244,7 @@ class Surface:
         Raises
         ------
         ValueError, TypeError
-            If an array has the wrong shape or is not real.
+            If an array has the wrong shape or is not real, or a tensor not symmetric.
 
         Examples
         --------

@@ -18,15 +18,15 @@ class TangentPlanes:
 
     A point looks up the nearest of many points of the surface, and takes the plane through this
     that is normal to a continuous normal field, by default the nodal average of that of the
-    elements. The
-    distance of a point of the surface comes out as O(spacing^2); :func:`closest_points` is exact,
-    and a hundred times slower.
+    elements. The distance of a point of the surface comes out as O(spacing^2);
+    :func:`closest_points` is exact, and a hundred times slower.
 
     Parameters
     ----------
     at : Surface
     spacing : float or (T,) float array
-        Between the points that are looked up, on each element.
+        Between the points that are looked up, on each element; not less than about a 64th of its
+        longest side.
     normal : (N, 3) float array, optional
         Normals at the nodes, of any length.
 
@@ -38,7 +38,7 @@ class TangentPlanes:
     Raises
     ------
     ValueError, TypeError
-        If `spacing` is not positive.
+        If `spacing` is a number that is not positive.
 
     Examples
     --------
