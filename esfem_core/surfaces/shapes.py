@@ -73,8 +73,9 @@ def sphere(kind: Solid = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
         even triangles.
     refinements : int
         Number of refinements, 0 to 12: ``4**(r+1) + 2`` vertices from the octahedron,
-        ``10 * 4**r + 2`` from the icosahedron. The meshes of [LMV], with 4,098 and 65,538
-        vertices, are octahedra refined 5 and 7 times.
+        ``10 * 4**r + 2`` from the icosahedron. 5 and 7 refinements of the octahedron give the
+        4,098 and 65,538 vertices of the meshes of [LMV], which does not say how it refines; see
+        :func:`bisected_sphere`.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def sphere(kind: Solid = "octahedron", refinements: int = 3) -> trimesh.Trimesh:
     Raises
     ------
     TypeError, ValueError
-        If `kind` is unknown or `refinements` is not an integer >= 0.
+        If `kind` is unknown or `refinements` is not an integer from 0 to 12.
 
     Examples
     --------
@@ -114,9 +115,9 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     R, r : float
         Radius of the core circle and of the tube, R > r > 0.
     n, m : int
-        Numbers of cells around the axis and around the tube, 3 or more; each cell is two
-        triangles. Even ones have n/m near R/r. A tube of few cells around the axis is far from
-        the torus: with n = 3 or 4 not every point has its own closest one.
+        Numbers of cells around the axis and around the tube, 3 to 10,000; each cell is two
+        triangles. They are most even for n/m near R/r. A tube of few cells around the axis is far
+        from the torus: with n = 3 or 4 not every point has its own closest one.
 
     Returns
     -------
@@ -126,7 +127,7 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     Raises
     ------
     TypeError, ValueError
-        If a radius is not positive, R <= r, or a number is not an integer >= 3.
+        If a radius is not positive, R <= r, or a number is not an integer from 3 to 10,000.
 
     Examples
     --------
@@ -210,7 +211,7 @@ def bisected_sphere(bisections: int) -> trimesh.Trimesh:
     Parameters
     ----------
     bisections : int
-        n >= 0; there are 4 2^n + 2 vertices.
+        n, 0 to 24; there are 4 2^n + 2 vertices.
 
     Returns
     -------
@@ -220,7 +221,7 @@ def bisected_sphere(bisections: int) -> trimesh.Trimesh:
     Raises
     ------
     TypeError, ValueError
-        If `bisections` is not an integer >= 0.
+        If `bisections` is not an integer from 0 to 24.
 
     Examples
     --------
