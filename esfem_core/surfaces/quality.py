@@ -19,7 +19,7 @@ class Quality:
     ----------
     vertices, triangles : int
     euler : int
-        Euler number V - E + F: 2 (components - handles).
+        V - F/2, on a closed mesh the Euler number V - E + F = 2 (components - handles).
     min_angle, max_angle : float
         In degrees; 60 for equilateral triangles.
     mean_ratio, min_ratio : float
@@ -65,7 +65,7 @@ class Quality:
 
 
 def mesh_quality(tri: trimesh.Trimesh) -> Quality:
-    """Measure the triangles of a closed mesh.
+    """Measure the triangles of a mesh.
 
     Parameters
     ----------
