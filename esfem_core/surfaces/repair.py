@@ -40,7 +40,8 @@ def repair(
 
     In this order, and only where it is needed:
 
-    1. triangles with corners that are missing or not finite are dropped;
+    1. triangles with corners that are missing or not finite are dropped, then vertices without
+       triangles;
     2. vertices at one place become one, whatever their texture or normal (first equal ones, then
        those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it);
     3. triangles with a corner twice are dropped, of those with the same three corners one is
@@ -50,8 +51,7 @@ def repair(
     6. where surfaces touch in a vertex or an edge, each gets its own, moved apart by a
        thousandth of the triangles, so that no later merging joins them;
     7. components are oriented outwards, cavities inwards; those that enclose no volume, single
-       triangles and sheets, are dropped if there are others;
-    8. vertices without triangles are dropped.
+       triangles and sheets, are dropped with their vertices if there are others.
 
     Parameters
     ----------
