@@ -47,10 +47,10 @@ def from_level_set(
 
     A round consists of collapses of short edges, splits of long ones, and 12 steps in which edges
     push their ends apart with a force proportional to 1.2 l - (length), l being the quadratic
-    mean of all lengths as in DistMesh; after each step vertices return to the surface, after every
-    fourth Delaunay's criterion flips edges. It ends when all angles are above 30 degrees, all
-    edges longer than 0.6 h, the mean ratio of radii is above 0.96, and a round has neither
-    collapsed nor split an edge and gained less than 0.003 in this mean.
+    mean of all lengths as in DistMesh; after each step vertices return to the surface, before the
+    first, fifth and ninth Delaunay's criterion flips edges. The last round is the one after which
+    all angles are above 30 degrees, all edges longer than 0.6 h, the mean ratio of radii is above
+    0.96, and which has neither collapsed nor split an edge and gained less than 0.003 in this mean.
 
     Nothing is random: the same input gives the same mesh.
 
@@ -80,9 +80,9 @@ def from_level_set(
     ImportError
         Without scikit-image (``pip install esfem-core[mesh]``).
     TypeError, ValueError
-        If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it, or d
-        is negative outside; if h is too large for the topology or the curvature, or so small that
-        the grid had more than 2e7 points.
+        If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it; if d
+        is negative outside, or the surface has a crease; if h is too large for the topology or the
+        curvature, or so small that the grid had more than 2e7 points.
     MeshingError
         If after 40 rounds the mesh is not as good as stated.
 
