@@ -171,6 +171,10 @@ class Torus(ExactSurface):
 class Ellipsoid(ExactSurface):
     """Ellipsoid around the origin, axes along those of the coordinates.
 
+    Inside, from a depth of about the smallest radius of curvature on, ``min(axes)**2 / max(axes)``,
+    points may be refused although they have a unique closest point: Newton's method, which begins
+    with the point itself, does not arrive at theirs.
+
     Parameters
     ----------
     axes : (float, float, float)
