@@ -72,6 +72,7 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
     FloatingPointError
         If b is not finite.
     numpy.linalg.LinAlgError
+        If the quotient is above 1e-9.
 
     Examples
     --------
