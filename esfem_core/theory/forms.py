@@ -18,13 +18,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from esfem_core.checks import Array, finite_array, flag, object_of, shown
 from esfem_core.elements import SurfaceSpace, tabulate
 from esfem_core.errors import square_matrix
-from esfem_core.surfaces.exact_surfaces import ExactSurface
+from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
 
 __all__ = [
     "Lift",
@@ -41,6 +42,7 @@ __all__ = [
 
 TOLERANCE = 1e-9  # relative, of the eigenvalue that is iterated for
 ROUNDING = 1e-10  # relative to the largest entry; a form may be a small difference of norms
+PIVOT = 1e-12  # relative to the diagonal; smaller ones are what rounding leaves of zero
 DENSE = 1000  # up to this size all eigenvalues cost less than the iteration for one
 
 
@@ -293,8 +295,9 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
 
     Raises
     ------
-    ValueError
-        If a quadrature point has no unique closest point.
+    TypeError, ValueError
+        If a quadrature point has no unique closest point, Γ_h[x] is not oriented like the surface,
+        or a surface of the reader's own does not return a :class:`Near` of finite arrays.
 
     Examples
     --------
@@ -307,10 +310,17 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     object_of("space", space, SurfaceSpace)
     if not isinstance(surface, ExactSurface):
         raise TypeError(f"surface must be an ExactSurface, got {shown(surface)}")
-    near = surface.near(space.quadrature_points(x))
+    points = space.quadrature_points(x)
+    near = _near(surface, points)
     normal_h = space.normals(x)
     cosine = np.sum(normal_h * near.normal, axis=-1)
     stretch = np.eye(3) + near.distance[..., None, None] * near.weingarten
+    if not (least := cosine.min()) > 0:
+        raise ValueError(
+            "surface must be oriented as the space at x is, but at "
+            f"{points[cosine == least][0].round(6).tolist()} the cosine of their normals is "
+            f"{least:.3g}"
+        )
     oblique = normal_h[..., :, None] * near.normal[..., None, :] / cosine[..., None, None]
     return Lift(
         near.points,
@@ -319,6 +329,16 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
         cosine / np.linalg.det(stretch),
         stretch @ (np.eye(3) - oblique),
     )
+
+
+def _near(surface: ExactSurface, points: Array) -> Near:
+    """What a surface says of points; a reader's own may say anything."""
+    near = object_of("surface.near(x)", surface.near(points), Near)
+    shape = points.shape
+    shapes = {"points": shape, "distance": shape[:-1], "normal": shape, "weingarten": (*shape, 3)}
+    for name, wanted in shapes.items():
+        finite_array(f"surface.near(x).{name}", getattr(near, name), wanted)
+    return near
 
 
 def gradient_load(space: SurfaceSpace, x: Array, field: ArrayLike) -> Array:
@@ -363,8 +383,8 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     norm : (N, N) sparse array
         Symmetric and positive definite: ``|w|^2 = w^T norm w``.
     seminorm : bool
-        If True, `norm` vanishes on constants, as a stiffness matrix of a connected surface does,
-        and so does `form`.
+        If True, `norm` vanishes on constants and is positive on all else, as a stiffness matrix of
+        a connected surface is, and `form` vanishes on constants, too.
 
     Returns
     -------
@@ -373,8 +393,8 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     Raises
     ------
     ValueError
-        If the shapes differ, `form` is not symmetric, or it does not vanish on constants with
-        ``seminorm=True``.
+        If the shapes differ, a matrix is not symmetric, `norm` is not positive definite, or with
+        ``seminorm=True`` one does not vanish on constants or `norm` vanishes on more than those.
 
     Examples
     --------
@@ -388,18 +408,25 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     flag("seminorm", seminorm)
     if form.shape != norm.shape:
         raise ValueError(f"form and norm must have one shape, got {form.shape} and {norm.shape}")
+    if form.shape[0] <= seminorm:
+        raise ValueError(f"form must have {1 + seminorm} rows or more, got shape {form.shape}")
     rounding = ROUNDING * max(abs(form).max(), abs(norm).max())
-    if abs(form - form.T).max() > rounding:
-        raise ValueError("form must be symmetric, but is not")
-    if seminorm and abs(form.sum(axis=1)).max() > rounding:
-        raise ValueError("with seminorm=True form must vanish on constants, but does not")
+    for name, matrix in (("form", form), ("norm", norm)):
+        if abs(matrix - matrix.T).max() > rounding:
+            raise ValueError(f"{name} must be symmetric, but is not")
+        if seminorm and abs(matrix.sum(axis=1)).max() > rounding:
+            raise ValueError(f"with seminorm=True {name} must vanish on constants, but does not")
     if seminorm:  # constants make no difference: functions that vanish at the first node will do
+        parts = connected_components(norm, directed=False)[0]
+        if parts > 1:
+            raise ValueError(
+                "with seminorm=True norm must vanish on constants only, but vanishes on all that "
+                f"are constant on each of {parts} components"
+            )
         form, norm = form[1:, 1:], norm[1:, 1:]
+    _check_definite(norm)
     if form.shape[0] <= DENSE:
-        try:
-            values = eigh(form.toarray(), norm.toarray(), eigvals_only=True)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(f"norm must be positive definite, but is not: {error}") from error
+        values = eigh(form.toarray(), norm.toarray(), eigvals_only=True)
         return float(np.abs(values).max())
     inverse = LinearOperator(norm.shape, splu(norm.tocsc()).solve, dtype=float)
     start = np.random.default_rng(0).normal(size=form.shape[0])
@@ -416,6 +443,26 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
         Minv=inverse,
     )
     return float(abs(values[0]))
+
+
+def _check_definite(norm: csr_array) -> None:
+    """Refuse a symmetric matrix with a pivot that is not positive beyond rounding."""
+    diagonal = norm.diagonal()
+    least = float(diagonal.min())
+    if least > 0:
+        root = diags_array(1 / np.sqrt(diagonal))
+        scaled = csc_array(root @ norm @ root)
+        options = {"SymmetricMode": True}
+        try:
+            lu = splu(scaled, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+            least = float(lu.U.diagonal().min())
+        except RuntimeError:  # a pivot is exactly zero
+            least = 0.0
+    if not least > PIVOT:
+        raise ValueError(
+            f"norm must be positive definite, but is not: it has the pivot {least:.3g}, relative "
+            "to its diagonal"
+        )
 
 
 def _assemble(space: SurfaceSpace, entries: Array) -> csr_array:

@@ -3,9 +3,17 @@
 import naive
 import numpy as np
 import pytest
+from scipy.sparse import block_diag
 
 import esfem_core as ec
-from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
+from esfem_core.surfaces.exact_surfaces import (
+    Ellipsoid,
+    ExactSurface,
+    LevelSet,
+    Near,
+    Sphere,
+    Torus,
+)
 from esfem_core.theory import forms
 
 RNG = np.random.default_rng(5)
@@ -175,6 +183,53 @@ def test_forms_without_a_relative_norm_are_refused():
         forms.relative_norm(one_sided, M)
     with pytest.raises(ValueError, match="form must vanish on constants"):
         forms.relative_norm(M, A, seminorm=True)
+
+
+@pytest.mark.parametrize("dense", [0, 1000])
+def test_norms_that_are_none_are_refused_whatever_their_size(monkeypatch, dense):
+    monkeypatch.setattr(forms, "DENSE", dense)
+    space = torus_space(1)
+    M, A = space.mass_stiffness(space.nodes)
+    one_sided = M.copy()
+    one_sided[0, 1] += 1.0
+    for norm in (-M, A, 0 * M, A - M):
+        with pytest.raises(ValueError, match="norm must be positive definite, but is not: it has"):
+            forms.relative_norm(M, norm)
+    with pytest.raises(ValueError, match="norm must be symmetric"):
+        forms.relative_norm(M, one_sided)
+    with pytest.raises(ValueError, match="seminorm=True norm must vanish on constants, but does"):
+        forms.relative_norm(A, M + A, seminorm=True)
+    apart = block_diag([A, A], "csr")
+    with pytest.raises(ValueError, match=r"constants only, but vanishes .* each of 2 components"):
+        forms.relative_norm(apart, apart, seminorm=True)
+    with pytest.raises(ValueError, match=r"form must have 2 rows or more, got shape \(1, 1\)"):
+        forms.relative_norm(0 * M[:1, :1], 0 * M[:1, :1], seminorm=True)
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (lambda x: None, r"surface.near\(x\) must be a Near, got None"),
+        (lambda x: Near(x, x[..., 0], x[..., :2], np.eye(3)), r"near\(x\).normal must have shape"),
+        (lambda x: Near(x, x[..., 0] / 0, x, np.eye(3)), r"near\(x\).distance must be finite"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
+def test_a_surface_of_ones_own_must_say_what_a_lift_needs(returned, message):
+    class Own(ExactSurface):
+        def near(self, x):
+            return returned(x)
+
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    with pytest.raises((TypeError, ValueError), match=message):
+        forms.lift(space, space.nodes, Own())
+
+
+def test_a_surface_that_is_oriented_the_other_way_has_no_lift():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    inside_out = LevelSet(lambda x: 1 - (x**2).sum(axis=1))
+    with pytest.raises(ValueError, match=r"surface must be oriented as .* normals is -"):
+        forms.lift(space, space.nodes, inside_out)
 
 
 @pytest.mark.parametrize(
