@@ -28,11 +28,12 @@ from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
 from esfem_core.stepping import bdf, exact_state
 from esfem_core.surfaces import derivative
-from esfem_core.theory.forms import divergence
+from esfem_core.theory.forms import check_symmetric, divergence
 
 __all__ = [
     "Defects",
     "NodalValues",
+    "check_species",
     "constant_diffusivity",
     "defects",
     "diffusion",
@@ -118,6 +119,7 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     """
     if issparse(K):
         K = square_matrix("K", K).tocsr()
+        check_symmetric("K", K)
         r = finite_array("functional", functional, (K.shape[0], "..."))
         K = superlu(K)
     elif isinstance(K, type) or not callable(getattr(K, "solve", None)):
@@ -172,7 +174,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     Raises
     ------
     TypeError, ValueError
-        If there is no exact solution, a number is out of range, or n < p.
+        If there is no exact solution, the problem is none of the theory (:func:`check_species`,
+        :func:`regularised_law`), a number is out of range, or n < p.
 
     Examples
     --------
@@ -194,6 +197,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     if n < order:
         raise ValueError(f"n must be at least p = {order}, got {n}")
     law = regularised_law(problem)
+    check_species(problem)
     # Newest first. Extrapolating the positions at level n - p reaches back to n - 2 p.
     exact = [exact_values(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
     now, d, t = exact[0], bdf.delta(order), n * step
@@ -240,9 +244,11 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
 
     Raises
     ------
-    ValueError
-        If there is no exact solution.
+    TypeError, ValueError
+        If there is no exact solution, or the problem is none of the theory, as for
+        :func:`defects`.
     """
+    check_species(problem)
     x, v, u = exact_values(space, problem, t)
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
@@ -296,6 +302,7 @@ def stretching(space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike) -> Arr
     >>> bool(np.allclose(b, space.mass_times(x, u), rtol=0, atol=1e-15))
     True
     """
+    object_of("space", space, SurfaceSpace)
     values = space.evaluate(finite_array("u", u, (len(space.nodes), "...")))
     rate = divergence(space, x, v)
     return space.load(x, rate.reshape(*rate.shape, *[1] * (values.ndim - 2)) * values)
@@ -384,6 +391,29 @@ def regularised_law(problem: Problem) -> Regularised | None:
     return problem.law
 
 
+def check_species(problem: Problem) -> None:
+    """Refuse a problem whose species are none of the theory: it is for one, "u", of (2.19).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is another species, no "u", or as by :func:`constant_diffusivity`.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> check_species(ec.Problem(species={}, law=ec.laws.Regularised()))
+    Traceback (most recent call last):
+        ...
+    ValueError: problem must have the species "u" alone for the theory, got none
+    """
+    species = object_of("problem", problem, Problem).species
+    if list(species) != ["u"]:
+        names = ", ".join(map(repr, species)) or "none"
+        raise ValueError(f'problem must have the species "u" alone for the theory, got {names}')
+    constant_diffusivity(problem)
+
+
 def source_load(
     space: SurfaceSpace,
     problem: Problem,
@@ -424,6 +454,9 @@ def source_load(
     True
     """
     one_of("name", name, ("f", "g"))
+    object_of("space", space, SurfaceSpace)
+    if name == "f":
+        check_species(problem)
     x = finite_array("x", x, space.nodes.shape)
     u = finite_array("u", u, (len(space.nodes), "..."))
     at = Surface(space, x, u, t)

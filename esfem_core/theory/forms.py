@@ -29,6 +29,7 @@ from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
 
 __all__ = [
     "Lift",
+    "check_symmetric",
     "deformation",
     "divergence",
     "gradient_load",
@@ -412,8 +413,7 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
         raise ValueError(f"form must have {1 + seminorm} rows or more, got shape {form.shape}")
     rounding = ROUNDING * max(abs(form).max(), abs(norm).max())
     for name, matrix in (("form", form), ("norm", norm)):
-        if abs(matrix - matrix.T).max() > rounding:
-            raise ValueError(f"{name} must be symmetric, but is not")
+        check_symmetric(name, matrix, rounding)
         if seminorm and abs(matrix.sum(axis=1)).max() > rounding:
             raise ValueError(f"with seminorm=True {name} must vanish on constants, but does not")
     if seminorm:  # constants make no difference: functions that vanish at the first node will do
@@ -443,6 +443,22 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
         Minv=inverse,
     )
     return float(abs(values[0]))
+
+
+def check_symmetric(name: str, matrix: csr_array, rounding: float | None = None) -> None:
+    """Refuse a matrix that is not symmetric, up to a rounding error of its entries.
+
+    Examples
+    --------
+    >>> check_symmetric("K", csr_array(np.array([[1.0, 0.5], [0.0, 1.0]])))
+    Traceback (most recent call last):
+        ...
+    ValueError: K must be symmetric, but is not
+    """
+    if rounding is None:
+        rounding = ROUNDING * float(abs(matrix).max())
+    if abs(matrix - matrix.T).max() > rounding:
+        raise ValueError(f"{name} must be symmetric, but is not")
 
 
 def _check_definite(norm: csr_array) -> None:

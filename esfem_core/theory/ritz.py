@@ -8,6 +8,7 @@ in the reference triangle agree there up to the lift of [LMV] (5.4), and an erro
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, finite_array, object_of
 from esfem_core.elements import SurfaceSpace, node_indices, tabulate
@@ -91,7 +92,8 @@ def ritz_projection(
     Raises
     ------
     ValueError
-        If the two spaces do not belong together, or an array has the wrong shape or is not finite.
+        If the two spaces do not belong together, the surface has several components, on each of
+        which a constant is free, or an array has the wrong shape or is not finite.
 
     Examples
     --------
@@ -103,6 +105,9 @@ def ritz_projection(
     0.005
     """
     up = prolongation(space, fine)
+    parts = connected_components(space.pattern, directed=False)[0]
+    if parts > 1:
+        raise ValueError(f"space must be on a connected surface, but has {parts} components")
     x = finite_array("x", x, space.nodes.shape)
     y = finite_array("y", y, fine.nodes.shape)
     z = finite_array("z", z, (len(fine.nodes),))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -9,6 +10,7 @@ from scipy.sparse import csr_array
 from esfem_core.checks import (
     Array,
     finite_array,
+    flag,
     function,
     iterable,
     number,
@@ -19,8 +21,14 @@ from esfem_core.checks import (
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.solvers import superlu
-from esfem_core.stepping import State, evolve, exact_state
-from esfem_core.theory.defects import Defects, defects, dual_norm
+from esfem_core.stepping import State, check_state, evolve, exact_state
+from esfem_core.theory.defects import (
+    Defects,
+    check_species,
+    defects,
+    dual_norm,
+    regularised_law,
+)
 
 __all__ = ["ErrorTerms", "error_terms", "proposition_1", "response"]
 
@@ -64,8 +72,9 @@ def response(
     Raises
     ------
     TypeError, ValueError
-        If the problem has no exact values, `start` does not hold p pairs of the right shapes, or
-        as `evolve` does, at the call; if chosen defects have the wrong shape, in their step.
+        If the problem has no exact values or is none of the theory, `start` does not hold p pairs
+        of the right shapes, or as `evolve` does, at the call; if chosen defects have the wrong
+        shape, in their step.
 
     Examples
     --------
@@ -85,6 +94,8 @@ def response(
     """
     order, step = whole_number("order", order, 1, MOST_ORDER), number("step", step, above=0)
     function("chosen", chosen, "of the number of a step")
+    check_species(problem)
+    regularised_law(problem)
     if start is not None:
         start = _checked_start(order, start)
     states = [exact_state(space, problem, n * step) for n in range(order)]
@@ -186,6 +197,12 @@ def error_terms(
     -------
     ErrorTerms
 
+    Raises
+    ------
+    TypeError, ValueError
+        If the pairs are not more than p or no states of this space, their times are not `step`
+        apart, or `chosen` returns neither defects of their shapes nor None.
+
     Examples
     --------
     A defect in x in the last step causes errors of x and v there, and none before:
@@ -202,15 +219,19 @@ def error_terms(
     >>> [bool(terms.squares[q][:-1].max() < 1e-20 < terms.squares[q][-1]) for q in ("x", "v")]
     [True, True]
     """
-    computed, exact = zip(*pairs, strict=True)
-    given = tuple(chosen(n) if n >= order else None for n in range(len(exact)))
+    order, step = whole_number("order", order, 1, MOST_ORDER), number("step", step, above=0)
+    function("chosen", chosen, "of the number of a step")
+    computed, exact = _checked_pairs(space, pairs, order, step)
+    given = tuple(
+        _checked_defects(n, chosen(n), exact[n]) if n >= order else None for n in range(len(exact))
+    )
     matrices = [space.mass_stiffness(s.x) for s in exact]
     K = tuple(M + A for M, A in matrices)
     e_x = np.array([s.x - ex.x for s, ex in zip(computed, exact, strict=True)])
     e_u = np.array([s.u - ex.u for s, ex in zip(computed, exact, strict=True)])
     e_v = np.zeros_like(e_x)
     for n in range(order, len(exact)):
-        e_v[n] = computed[n].v - exact[n].v
+        e_v[n] = cast(Array, computed[n].v) - cast(Array, exact[n].v)
     squares = {
         "x": [_square(k, e) for k, e in zip(K, e_x, strict=True)],
         "v": [_square(k, e) for k, e in zip(K, e_v, strict=True)],
@@ -230,6 +251,42 @@ def error_terms(
         {"x": e_x, "v": e_v, "u": e_u},
         {name: np.array(values) for name, values in squares.items()},
     )
+
+
+def _checked_pairs(
+    space: SurfaceSpace, pairs: object, order: int, step: float
+) -> tuple[tuple[State, ...], tuple[State, ...]]:
+    """Computed and exact states; refuses what is no run of this order and step."""
+    computed: list[State] = []
+    exact: list[State] = []
+    for n, pair in enumerate(iterable("pairs", pairs, "(State, State)")):
+        if not isinstance(pair, tuple | list) or len(pair) != 2:
+            raise TypeError(f"pairs[{n}] must be a pair (computed, exact), got {shown(pair)}")
+        for i, state in enumerate(pair):
+            name = f"pairs[{n}][{i}]"
+            check_state(space, state, name)
+            if n >= order and state.v is None:
+                raise ValueError(f"{name} must have a velocity, but has none")
+            t = (exact[0].t if exact else pair[1].t) + n * step
+            if abs(state.t - t) > 1e-6 * step:
+                raise ValueError(
+                    f"{name} must be at the time of step {n}, t = {t:g} with step = {step:g}, but "
+                    f"is at {state.t:g}"
+                )
+        computed.append(pair[0])
+        exact.append(pair[1])
+    if len(exact) <= order:
+        raise ValueError(f"pairs must be more than p = {order}, got {len(exact) or 'none'}")
+    return tuple(computed), tuple(exact)
+
+
+def _checked_defects(n: int, given: Defects | None, exact: State) -> Defects | None:
+    """Defects of one step, or None."""
+    if given is not None:
+        object_of(f"chosen({n})", given, Defects)
+        for name, shape in (("u", exact.u.shape), ("v", exact.x.shape), ("x", exact.x.shape)):
+            finite_array(f"chosen({n}).{name}", getattr(given, name), shape)
+    return given
 
 
 def _square(matrix: csr_array, w: Array) -> float:
@@ -266,8 +323,8 @@ def proposition_1(terms: ErrorTerms, corrected: bool = False) -> float:
 
     Raises
     ------
-    ValueError
-        If the right-hand side is zero in all steps.
+    TypeError, ValueError
+        If an argument is not as stated, or the right-hand side is zero in all steps.
 
     Examples
     --------
@@ -281,6 +338,8 @@ def proposition_1(terms: ErrorTerms, corrected: bool = False) -> float:
     >>> proposition_1(terms) > 10 > 2 > proposition_1(terms, corrected=True)
     True
     """
+    object_of("terms", terms, ErrorTerms)
+    flag("corrected", corrected)
     p, tau, square = terms.order, terms.step, terms.squares
     gradients = square["u_stiffness"]
     if corrected:

@@ -31,6 +31,7 @@ from esfem_core.theory.defects import (
     spatial_defects,
     stretching,
 )
+from esfem_core.theory.stability import response
 
 EXPANDING = ec.problems.expanding_sphere()
 
@@ -180,6 +181,10 @@ def test_dual_norm_refuses_what_does_not_fit_or_is_not_finite():
         dual_norm(M, space.nodes[:5])
     with pytest.raises(ValueError, match=r"functional\[3\] is nan"):
         dual_norm(superlu(M), np.where(np.arange(42) == 3, np.nan, 1.0))
+    one_sided = M.copy()
+    one_sided[0, 1] += 1.0
+    with pytest.raises(ValueError, match="K must be symmetric, but is not"):
+        dual_norm(one_sided, np.ones(42))
 
 
 def test_steps_and_problems_without_defects_are_refused():
@@ -199,6 +204,32 @@ def test_steps_and_problems_without_defects_are_refused():
     for function in (temporal_terms_u, temporal_terms_v):
         with pytest.raises(ValueError, match="but the motion is prescribed"):
             function(space, prescribed, 1, 0.1, 2)
+
+
+@pytest.mark.parametrize(
+    ("species", "message"),
+    [
+        ({"u": ec.Species(1.0, rate=3.0)}, r'a species "u" that .*, rate=3\.0'),
+        ({"u": ec.Species(1.0, fixed=0.0)}, 'a species "u" that .*fixed=Fixed'),
+        ({"u": ec.Species(1.0, conserved=False)}, 'a species "u" that .*got conserved=False'),
+        ({"u": ec.Species(1.0), "w": ec.Species(1.0)}, "alone for the theory, got 'u', 'w'"),
+        ({}, "alone for the theory, got none"),
+    ],
+)
+def test_problems_with_terms_that_the_theory_lacks_are_refused(species, message):
+    space, x = space_of(0), space_of(0).nodes
+    exact = Exact(lambda p, t: p, lambda p, t: 0 * p, lambda x, t: x[:, 0])
+    problem = ec.Problem(
+        species=species, law=ec.laws.Regularised(), exact=exact if "u" in species else None
+    )
+    for call in (
+        lambda: defects(space, problem, 1, 0.1, 1),
+        lambda: spatial_defects(space, problem, 0.0),
+        lambda: source_load(space, problem, "f", x, x[:, 0], 0.0),
+        lambda: response(space, problem, 1, 0.1, 0.3, lambda n: None),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()
 
 
 def test_integers_of_any_library_are_steps():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import esfem_core as ec
 from esfem_core.errors import seminorm
@@ -61,6 +62,14 @@ def test_spaces_that_do_not_belong_together_are_refused():
         prolongation(quadratic, linear)
     with pytest.raises(ValueError, match="fine must be on the triangulation of space"):
         prolongation(linear, ec.SurfaceSpace(ec.sphere("octahedron", 1), 2))
+
+
+def test_a_surface_of_two_components_has_no_projection():
+    far = TRI.copy()
+    far.apply_translation([3, 0, 0])
+    space = ec.SurfaceSpace(trimesh.util.concatenate([TRI, far]))
+    with pytest.raises(ValueError, match="space must be on a connected surface, but has 2 comp"):
+        ritz_projection(space, space.nodes, space, space.nodes, space.nodes[:, 0])
 
 
 def test_arrays_of_another_shape_are_refused_by_their_names():

@@ -104,6 +104,29 @@ def test_an_estimate_needs_something_on_the_right():
         proposition_1(terms)
 
 
+def test_terms_of_another_run_are_refused():
+    pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.2, nothing))
+    other = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    for arguments, message in (
+        (
+            (SPACE, pairs, 2, 1 / 10, nothing),
+            r"pairs\[1\]\[0\] must be at the time of step 1, t = 0",
+        ),
+        ((SPACE, pairs, 5, 1 / 20, nothing), "pairs must be more than p = 5, got 5"),
+        ((SPACE, [], 2, 1 / 20, nothing), "pairs must be more than p = 2, got none"),
+        ((SPACE, [pairs[0][0]], 2, 1 / 20, nothing), r"pairs\[0\] must be a pair"),
+        ((other, pairs, 2, 1 / 20, nothing), r"pairs\[0\]\[0\] must"),
+        ((SPACE, pairs, 2, 1 / 20, lambda n: 0), r"chosen\(2\) must be a Defects, got 0"),
+        ((SPACE, pairs, 2, 1 / 20, lambda n: Defects(0, 0, 0)), r"chosen\(2\)\.u must have shape"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            error_terms(*arguments)
+    with pytest.raises(TypeError, match="terms must be an ErrorTerms, got None"):
+        proposition_1(None)
+    with pytest.raises(TypeError, match="corrected must be True or False, got 'no'"):
+        proposition_1(error_terms(SPACE, pairs, 2, 1 / 20, nothing), "no")
+
+
 @pytest.mark.parametrize("p", [1, 2, 3])
 @pytest.mark.parametrize("corrected", [False, True])
 def test_both_sides_of_the_estimate_are_sums_as_written(p, corrected):
