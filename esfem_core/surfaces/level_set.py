@@ -26,6 +26,8 @@ MAX_STEPS = 50
 ON_SURFACE = 1e-13  # accepted distance from the surface, relative to the coordinates
 CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
 FAR = 10  # sizes of the surface from the origin
+SAMPLES = 8  # points at which a given gradient is compared with differences
+ALIKE = 1e-3  # by so much of its size it may differ there; differences are good to 1e-9
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
 
 
@@ -49,7 +51,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
         (n, 3) -> (n, 3), for :class:`esfem_core.SurfaceSpace` and
         :class:`esfem_core.Exact`. Its points are on the surface to 1e-13 times the
         largest coordinate and closest ones to 1e-11 times it. It raises a ValueError where
-        Newton's method does not arrive or the gradient vanishes.
+        Newton's method does not arrive, the gradient vanishes or is not that of d on the surface.
 
     Examples
     --------
@@ -62,27 +64,42 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
 
     def project(points: Array) -> Array:
         x = finite_array("points", points, ("n", 3))
-        scale = _scale(x)
-        slope = checked_gradient(d, gradient, float(np.ptp(x, axis=0).max()) if len(x) else None)
-        y = descend(d, slope, x)
-        todo = np.arange(len(x))
-        for _ in range(MAX_STEPS):
-            g = checked_values(slope, y[todo], (3,), "gradient")
-            n = g / np.linalg.norm(g, axis=1, keepdims=True)
-            off = x[todo] - y[todo]
-            tangential = off - (off * n).sum(axis=1, keepdims=True) * n
-            far = np.linalg.norm(tangential, axis=1) > CLOSEST * scale
-            todo, tangential = todo[far], tangential[far]
-            if len(todo) == 0:
-                return y
-            y[todo] = descend(d, slope, y[todo] + tangential)
-        raise ValueError(
-            f"points must be near the surface, but no closest point was found for "
-            f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
-            "its curvature"
-        )
+        size = float(np.ptp(x, axis=0).max()) if len(x) else 0.0
+        slope = checked_gradient(d, gradient, size)
+        comparable = gradient is not None and size > DIFFERENCE * _scale(x)
+        try:
+            y = _closest(d, slope, x)
+        except ValueError:
+            if comparable:
+                _check_is_gradient(d, slope, x, size, length=True)
+            raise
+        if comparable:  # only its direction has been used, and only on the surface
+            _check_is_gradient(d, slope, y, size, length=False)
+        return y
 
     return project
+
+
+def _closest(d: Field, slope: Field, x: Array) -> Array:
+    """The closest points of x, by the iteration of `project_to_level_set`."""
+    scale = _scale(x)
+    y = descend(d, slope, x)
+    todo = np.arange(len(x))
+    for _ in range(MAX_STEPS):
+        g = checked_values(slope, y[todo], (3,), "gradient")
+        n = g / np.linalg.norm(g, axis=1, keepdims=True)
+        off = x[todo] - y[todo]
+        tangential = off - (off * n).sum(axis=1, keepdims=True) * n
+        far = np.linalg.norm(tangential, axis=1) > CLOSEST * scale
+        todo, tangential = todo[far], tangential[far]
+        if len(todo) == 0:
+            return y
+        y[todo] = descend(d, slope, y[todo] + tangential)
+    raise ValueError(
+        f"points must be near the surface, but no closest point was found for "
+        f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
+        "its curvature"
+    )
 
 
 def checked_gradient(d: Field, gradient: Field | None, size: float | None = None) -> Field:
@@ -92,6 +109,27 @@ def checked_gradient(d: Field, gradient: Field | None, size: float | None = None
         return central_gradient(d, size)
     function("gradient", gradient, "of points (n, 3), or None")
     return gradient
+
+
+def _check_is_gradient(d: Field, gradient: Field, x: Array, size: float, *, length: bool) -> None:
+    """Refuse a gradient of another function: with it, points end beside the closest ones.
+
+    A few points will do, and at some of them d may have a kink. Without `length`, only directions
+    are compared.
+    """
+    some = x[:: -(-len(x) // SAMPLES)]
+    given = checked_values(gradient, some, (3,), "gradient")
+    expected = central_gradient(d, size)(some)
+    sizes = [np.linalg.norm(g, axis=1, keepdims=True) for g in (given, expected)]
+    factor = 1.0 if length else sizes[1] / sizes[0]
+    off = np.linalg.norm(factor * given - expected, axis=1) > ALIKE * sizes[1][:, 0]
+    if 2 * off.sum() > len(some):
+        i = int(np.argmax(off))
+        raise ValueError(
+            f"gradient must be that of d, but at {some[i].tolist()} it is "
+            f"{given[i].round(6).tolist()}, and differences of d give "
+            f"{expected[i].round(6).tolist()}"
+        )
 
 
 def descend(d: Field, gradient: Field, points: Array) -> Array:

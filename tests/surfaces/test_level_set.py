@@ -56,6 +56,42 @@ def test_what_is_left_is_normal_and_the_given_gradient_is_used():
     assert np.linalg.norm(off - (off * n).sum(axis=1, keepdims=True) * n, axis=1).max() < 1e-10
 
 
+@pytest.mark.parametrize(
+    "gradient", [lambda x: 2 * x, lambda x: -2 * x / [4, 1, 0.49], lambda x: 9 * x / [4, 1, 0.49]]
+)
+def test_a_gradient_of_another_function_is_refused(gradient):
+    x = ec.to_unit_sphere(NEAR) * [2.05, 1.05, 0.73]
+    with pytest.raises(
+        ValueError, match=r"gradient must be that of d, but at \[.*differences of d"
+    ):
+        ec.project_to_level_set(ellipsoid, gradient)(x)
+    with pytest.raises(ValueError, match="gradient must be that of d"):
+        ec.exact_surfaces.LevelSet(ellipsoid, gradient).near(x)
+
+
+def test_a_gradient_that_is_right_on_the_surface_is_enough():
+    y = ec.project_to_level_set(lambda x: np.linalg.norm(x, axis=1) - 1, lambda x: 1 * x)
+    np.testing.assert_allclose(y(1.1 * ec.to_unit_sphere(NEAR)), ec.to_unit_sphere(NEAR))
+
+
+def test_a_gradient_is_not_compared_across_kinks_or_where_differences_say_nothing():
+    def box(x):  # kinks where two coordinates have one size
+        return np.abs(x).max(axis=1) - 1
+
+    def slope(x):
+        side = np.abs(x).argmax(axis=1)
+        return np.eye(3)[side] * np.sign(x)
+
+    x = np.array([[1.1, 1.1, 0.2], [0.1, 0.2, 1.2], [0.3, -1.1, 0.2]])
+    np.testing.assert_allclose(ec.project_to_level_set(box, slope)(x[1:]), x[1:].clip(-1, 1))
+    far = np.array([1e6, 0, 0])
+    small = ec.project_to_level_set(
+        lambda x: np.linalg.norm(x - far, axis=1) - 1e-3,
+        lambda x: (x - far) / np.linalg.norm(x - far, axis=1, keepdims=True),
+    )
+    np.testing.assert_allclose(small(far + np.eye(3)[2:] / 500), far + np.eye(3)[2:] / 1000)
+
+
 def test_projection_leaves_the_surface_alone():
     y = descend(two_rings, central_gradient(two_rings), np.array([[1.1, 1.45, 0.1], [0, 0.3, 0.4]]))
     np.testing.assert_allclose(ec.project_to_level_set(two_rings)(y), y, rtol=0, atol=1e-13)
