@@ -23,7 +23,7 @@ V = dX/dt and X(p, t) = x: with F = DX, of inverse G, the chain rule gives
 sympy is needed (``pip install esfem-core[symbolic]``); it is imported when a problem is made.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,7 +95,7 @@ class Expressions:
     """Functions of three coordinates and t, as sympy's expressions; arrays of them and of jets."""
 
     def __init__(self, name: str, given: Any, names: Sequence[str], count: int) -> None:
-        sympy = _sympy()
+        sympy, self.name = _sympy(), name
         texts = [given] if count == 1 else _three(name, given)
         self.symbols = sympy.symbols((*names, "t"), real=True)
         known = dict(zip((*names, "t"), self.symbols, strict=True))
@@ -128,7 +128,10 @@ class Expressions:
 
     def _numeric(self, expressions: list[Any], shape: tuple[int, ...]) -> Callable[..., Array]:
         """A function of points (..., 3) and a time with values (..., *shape)."""
-        function = _sympy().lambdify(self.symbols, expressions, "numpy", cse=True)
+        try:
+            function = _sympy().lambdify(self.symbols, expressions, "numpy", cse=True)
+        except NotImplementedError as error:  # an integral, say
+            raise ValueError(f"{self.name} has no form that NumPy can evaluate: {error}") from None
 
         def evaluate(x: Array, t: float) -> Array:
             with np.errstate(all="ignore"):  # what is not finite is refused where it is used
@@ -318,7 +321,7 @@ def _forced(
 
 
 def _check(level: Expressions, path: Motion, until: float) -> None:
-    """Points of {d = 0} at t = 0 stay where they are, and later ones stay on the surface."""
+    """Points stay where they are at t = 0, and later on the surface, on the same side of others."""
     p = _found(level)
     scale = float(np.abs(p).max())
     moved = np.abs(path.position.values(p, 0.0) - p).max(axis=-1)
@@ -328,6 +331,7 @@ def _check(level: Expressions, path: Motion, until: float) -> None:
             f"motion must have X(p, 0) = p, but takes {_point(p[worst])} of the surface to "
             f"{_point(path.position.values(p[worst], 0.0))} at t = 0"
         )
+    at_first = np.linalg.det(path.position.gradients(p, 0.0))
     for t in until * np.array([0.1, 0.381966, 0.618034, 1.0]):
         x = path.position.values(p, t)
         gradient = np.linalg.norm(level.gradients(x, t)[..., 0, :], axis=-1)
@@ -338,6 +342,15 @@ def _check(level: Expressions, path: Motion, until: float) -> None:
             raise ValueError(
                 f"motion must stay on the surface, d(X(p, t), t) = 0, but at t = {t:.4g} it takes "
                 f"{_point(p[worst])} to {_point(x[worst])}, a distance of {away[worst]:.2g} away "
+                "(until=... is the last time that is checked)"
+            )
+        with np.errstate(all="ignore"):
+            volume = np.linalg.det(path.position.gradients(p, t)) / at_first
+        worst = int(np.argmin(np.where(np.isfinite(volume), volume, np.inf)))
+        if volume[worst] <= 0:
+            raise ValueError(
+                f"motion must not pass through itself, but at t = {t:.4g} near {_point(x[worst])} "
+                f"the determinant of its derivatives is {volume[worst]:.3g} times that at t = 0 "
                 "(until=... is the last time that is checked)"
             )
 
@@ -374,7 +387,8 @@ def _solve(F: Array, b: Array) -> Array:
 
 
 def _three(name: str, given: Any) -> list[Any]:
-    if isinstance(given, str) or not hasattr(given, "__len__") or len(given) != 3:
+    ordered = hasattr(given, "__getitem__") and not isinstance(given, str | Mapping)
+    if not ordered or len(given) != 3:
         raise ValueError(f"{name} must be three expressions, got {shown(given)}")
     return list(given)
 

@@ -252,6 +252,15 @@ class TestRefused:
             (UNIT, GROWN, None, r"motion must stay on the surface, d\(X\(p, t\), t\) = 0, but at"),
             ("x1**2 + x2**2 + x3**2 + 1", STILL, None, "d must have zeros near the origin"),
             (f"({UNIT})**2", STILL, None, "is its gradient zero on the surface"),
+            (UNIT, STILL, "Integral(x1**x1, (x1, 0, x2))", "u has no form that NumPy can evaluate"),
+            (UNIT, {"p1", "p2", "p3"}, None, "motion must be three expressions"),
+            (UNIT, dict.fromkeys(STILL), None, "motion must be three expressions"),
+            (
+                "x1**2 + x2**2 + x3**2 - (1 - 2*t)**2",
+                ["p1*(1 - 2*t)", "p2*(1 - 2*t)", "p3*(1 - 2*t)"],
+                None,
+                r"motion must not pass through itself, but at t = 0\.618 .* is -0\.0132 times",
+            ),
             (UNIT, ["p1/(1 - t)*(1 - t)", "p2*sqrt(1 - 2*t)", "p3"], None, "motion must stay"),
         ],
     )
