@@ -34,6 +34,7 @@ from esfem_core.output.pictures import (
     colour_range,
     cube,
     draw,
+    drawable,
     known_space,
     nodal_values,
 )
@@ -216,6 +217,8 @@ def _film(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    drawable("title", title)
+    drawable("label", label)
     writer: Any = FFMpegWriter if file.suffix.lower() == ".mp4" else PillowWriter
     if not writer.isAvailable():
         raise ImportError(

@@ -26,6 +26,7 @@ __all__ = [
     "colour_range",
     "cube",
     "draw",
+    "drawable",
     "known_space",
     "nodal_values",
     "plot",
@@ -86,10 +87,11 @@ def plot(
     't = 0.5'
     """
     space = known_space(state)
-    for called, value in (("title", title), ("label", label)):
-        if value is not None:
-            string(called, value)
     name, colours = nodal_values(state, values)
+    label = name if label is None else label
+    title = f"t = {state.t:.4g}" if title is None else title
+    drawable("title", title)
+    drawable("label", label)
     shades = colour_range([colours], limits)
     if ax is None:
         from matplotlib import pyplot
@@ -101,11 +103,33 @@ def plot(
             f"{type(ax).__name__}"
         )
     scale = draw(ax, space, state.x, colours, shades, cube([state.x]))
-    ax.set_title(f"t = {state.t:.4g}" if title is None else title)
+    ax.set_title(title)
     if scale is not None:
-        label = name if label is None else label
         ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
     return ax
+
+
+def drawable(name: str, text: str) -> None:
+    r"""Refuse text whose formulas matplotlib cannot set, before anything is drawn.
+
+    Examples
+    --------
+    >>> drawable("title", "no formula: 3 $")
+    >>> drawable("title", r"$\frac{1}{2$")
+    Traceback (most recent call last):
+        ...
+    ValueError: title must have formulas between $ that matplotlib can set, got '$\\frac{1}{2$'
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    figure.text(0, 0, string(name, text))
+    try:
+        figure.get_tightbbox()
+    except ValueError:
+        raise ValueError(
+            f"{name} must have formulas between $ that matplotlib can set, got {shown(text)}"
+        ) from None
 
 
 def draw(

@@ -121,6 +121,18 @@ def test_plot_refuses_what_it_cannot_draw(ax):
         ec.plot(given, ax=Figure().add_subplot())
 
 
+@pytest.mark.parametrize("name", ["title", "label"])
+def test_formulas_that_cannot_be_set_are_refused_before_anything_is_drawn(ax, tmp_path, name):
+    message = rf"{name} must have formulas between \$ that matplotlib can set, got '\$\\\\frac 1\$'"
+    with pytest.raises(ValueError, match=message):
+        ec.plot(state(), ax=ax, **{name: r"$\frac 1$"})
+    assert not ax.collections
+    with pytest.raises(ValueError, match=message):
+        ec.animate([state()], tmp_path / "film.gif", **{name: r"$\frac 1$"})
+    assert not list(tmp_path.iterdir())
+    ec.plot(state(), ax=ax, **{name: r"5 $ a night, $\frac{1}{2}$"})
+
+
 def test_animate_returns_the_page_with_a_slider(monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     shown = ec.animate((state(t=t) for t in (0.0, 0.5)), title="Growth")
