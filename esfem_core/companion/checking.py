@@ -1,8 +1,9 @@
 """What a chapter states beside its claims: the book's build insists on it, a reader is told."""
 
 import os
+from collections.abc import Iterator
 
-from esfem_core.checks import shown
+from esfem_core.checks import shown, string
 
 __all__ = ["STRICT", "expect"]
 
@@ -25,6 +26,9 @@ def expect(holds: object, statement: str) -> None:
     ------
     AssertionError
         If it does not hold and the environment variable ESFEM_STRICT is set.
+    TypeError
+        If `holds` is a function or an iterator, which are true whatever they say, or `statement` no
+        string.
     ValueError
         If `holds` is an array of more than one element.
 
@@ -35,6 +39,9 @@ def expect(holds: object, statement: str) -> None:
     What does not hold is printed as: differs from the book: "one and one are three" does not hold
     here.
     """
+    string("statement", statement)
+    if callable(holds) or isinstance(holds, Iterator):
+        raise TypeError(f"holds must be a truth value, got {shown(holds)}")
     if getattr(holds, "size", 1) != 1:
         raise ValueError(f"holds must be one truth value, got {shown(holds)}")
     if holds:

@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from esfem_core.checks import number, one_of
+from esfem_core.checks import iterable, number, one_of, shown, string
 from esfem_core.companion.checking import STRICT
 
 __all__ = [
@@ -245,8 +245,8 @@ def measure(
     Raises
     ------
     TypeError, ValueError
-        If there is no bound, a bound is no finite number, the bounds exclude each other, or `tol`
-        is negative or comes without `equals`.
+        If the value is no number, there is no bound, a bound is no finite number, the bounds
+        exclude each other, or `tol` is negative or comes without `equals`.
 
     Examples
     --------
@@ -257,7 +257,7 @@ def measure(
     >>> measure("error", float("nan"), at_most=1).holds
     False
     """
-    if not name.strip():
+    if not string("name", name).strip():
         raise ValueError("a measurement needs a name")
     if at_least is None and at_most is None and equals is None:
         raise ValueError(f"{name!r}: say what is expected with at_least, at_most or equals")
@@ -271,7 +271,19 @@ def measure(
         raise ValueError(f"{name!r}: no number is at least {low} and at most {high}")
     if target is None and distance > 0:
         raise ValueError(f"{name!r}: tol is the distance allowed from equals, which is missing")
-    return Measurement(name, float(value), low, high, target, distance)
+    return Measurement(name, _value(name, value), low, high, target, distance)
+
+
+def _value(name: str, value: object) -> float:
+    """A number of any library, or what JSON has in place of those that are not finite."""
+    if isinstance(value, str) and value not in ("nan", "inf", "-inf"):
+        raise TypeError(f"the value of {name!r} must be a number, got {shown(value)}")
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except OverflowError:
+        return math.inf
+    except (TypeError, ValueError):
+        raise TypeError(f"the value of {name!r} must be a number, got {shown(value)}") from None
 
 
 def measure_order(
@@ -362,7 +374,8 @@ def claim(
     >>> claim("N-2.18-extrapolation", printed, corrected=[other], kind="misprint").verdict
     'misprint'
     """
-    found = _well_formed(Claim(id, as_printed, tuple(corrected), kind, note))
+    others = tuple(iterable("corrected", corrected, "measurements"))
+    found = _well_formed(Claim(id, as_printed, others, kind, note))
     in_the_book = accepted().get(id)
     if fault := _fault(found):
         text = f"claim {id} {fault}"
@@ -384,7 +397,8 @@ def _checked(found: Claim) -> Claim:
 
 
 def _well_formed(found: Claim) -> Claim:
-    name = found.id
+    name = string("id", found.id)
+    string("note", found.note)
     if not _ID.fullmatch(name):
         raise ValueError(
             f"{name!r} is not a claim id: write <paper>-<number>-<word>, such as 'N-2.22-delta'"

@@ -25,3 +25,16 @@ def test_the_build_stops(monkeypatch):
 def test_many_truth_values_are_refused():
     with pytest.raises(ValueError, match="one truth value, got an array"):
         expect(np.array([True, False]), "all of them")
+
+
+@pytest.mark.parametrize(
+    "always_true", [lambda: False, (x > 1 for x in (0, 1)), iter([False]), max]
+)
+def test_what_is_true_whatever_it_says_is_no_statement(always_true):
+    with pytest.raises(TypeError, match="holds must be a truth value, got"):
+        expect(always_true, "the order is 3")
+
+
+def test_arguments_in_the_wrong_order_are_refused():
+    with pytest.raises(TypeError, match="statement must be a string, got False"):
+        expect("the order is 3", False)

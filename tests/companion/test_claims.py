@@ -80,6 +80,25 @@ def test_measurements_that_could_not_fail_or_not_hold_are_refused(arguments):
         measure(value=1.0, **arguments)
 
 
+@pytest.mark.parametrize("value", ["1.5", "abc", None, 1 + 0j, np.array([1.0, 2.0])])
+def test_a_value_that_is_no_number_is_refused(value):
+    with pytest.raises(TypeError, match="the value of 'order' must be a number, got"):
+        measure("order", value, at_least=1)
+
+
+def test_what_is_no_measurement_no_id_and_no_note_is_named():
+    with pytest.raises(
+        TypeError, match="corrected must be a sequence of measurements, got Measure"
+    ):
+        claim("N-2.22-delta", BAD, corrected=GOOD, kind="misprint")
+    with pytest.raises(TypeError, match="id must be a string, got 3"):
+        claim(3, GOOD)
+    with pytest.raises(TypeError, match="note must be a string, got 3"):
+        claim("N-2.22-delta", BAD, kind="contradicted", note=3)
+    with pytest.raises(TypeError, match="name must be a string, got 3"):
+        measure(3, 1.0, at_most=2)
+
+
 def test_bounds_are_real_numbers():
     with pytest.raises(TypeError, match="at_most of 'order' must be a finite number, got True"):
         measure("order", 1.0, at_most=True)
