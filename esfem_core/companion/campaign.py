@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from esfem_core.checks import number, whole_number
+from esfem_core.checks import items, iterable, number, whole_number
 from esfem_core.study import (
     ConvergenceTable,
     Experiment,
@@ -118,11 +118,17 @@ def provenance(rows: Sequence[Row]) -> str:
 
     Raises
     ------
-    ValueError
-        If there are no rows.
+    TypeError, ValueError
+        If there are no rows, or they are none.
+    KeyError
+        If one does not say where it comes from.
     """
+    rows = items("rows", rows, Row, least=0)
     if not rows:
         raise ValueError("there are no rows: the experiment has not been run yet")
+    for i, row in enumerate(rows):
+        for name in ("seconds", "machine", "date", "esfem_core"):
+            _entry(i, name, row.provenance)
     seconds = sum(row.provenance["seconds"] for row in rows)
     versions: dict[str, set[str]] = {}
     for row in rows:
@@ -149,8 +155,9 @@ def origin(mode: str, rows: Sequence[Row]) -> str:
     >>> print(origin("full", rows).split(":")[0])
     full mode, up to 1,026 nodes
     """
-    nodes = max(row.results["nodes"] for row in rows)
-    return f"{mode} mode, up to {nodes:,} nodes: {provenance(rows)}"
+    said = provenance(rows)
+    nodes = max(_entry(i, "nodes", row.results) for i, row in enumerate(rows))
+    return f"{mode} mode, up to {nodes:,} nodes: {said}"
 
 
 def convergence(rows: Sequence[Row], size: str, *names: str) -> ConvergenceTable:
@@ -184,12 +191,22 @@ def convergence(rows: Sequence[Row], size: str, *names: str) -> ConvergenceTable
           0.2   4.00e-02
           0.1   1.00e-02       2.00
     """
+    rows = list(iterable("rows", rows, "Rows"))
     if not rows:
         raise ValueError("rows must hold at least one row, got none")
-    sizes = [{**row.results, **row.parameters}[size] for row in rows]
+    items("rows", rows, Row)
+    sizes = [_entry(i, size, {**row.results, **row.parameters}) for i, row in enumerate(rows)]
     names = names or tuple(rows[0].results)
-    results = [{name: row.results[name] for name in names} for row in rows]
+    results = [{n: _entry(i, n, row.results) for n in names} for i, row in enumerate(rows)]
     return ConvergenceTable.of(size, sizes, results)
+
+
+def _entry(i: int, name: str, entries: Mapping[str, Any]) -> Any:
+    """An entry of row i."""
+    if name not in entries:
+        known = ", ".join(map(repr, entries)) or "none"
+        raise KeyError(f"rows[{i}] has no {name!r}, only {known}")
+    return entries[name]
 
 
 def _enumerated(names: Iterable[str]) -> str:
@@ -289,7 +306,7 @@ def changes(old: Any, new: Any, share: float = 0.01) -> list[tuple[str, Any, Any
     old, new : JSON values
         Numbers that differ by less than 1e-12 are the same, and so are two NaN.
     share : float
-        Of the larger one.
+        Of the larger one, 0 or more and below 1.
 
     Returns
     -------
@@ -301,18 +318,21 @@ def changes(old: Any, new: Any, share: float = 0.01) -> list[tuple[str, Any, Any
     >>> changes({"x": 1.0, "u": [1.0, 2.0]}, {"x": 1.001, "u": [1.0, 2.1]})
     [('u[1]', 2.0, 2.1)]
     """
-    number("share", share, least=0)
+    number("share", share, least=0, below=1)
     before, after = (dict(_leaves("", value)) for value in (old, new))
     return [
         (where.lstrip("."), before.get(where), after.get(where))
         for where in dict.fromkeys([*before, *after])
-        if not _alike(before.get(where), after.get(where), share)
+        if (where in before) != (where in after)
+        or not _alike(before.get(where), after.get(where), share)
     ]
 
 
 def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """The single values in a JSON value, each with its place."""
-    if isinstance(value, Mapping):
+    """The single values in a JSON value, each with its place; what is empty is one, too."""
+    if where and value in ({}, []):
+        yield where, value
+    elif isinstance(value, Mapping):
         for key, entry in value.items():
             yield from _leaves(f"{where}.{key}", entry)
     elif isinstance(value, list):
@@ -323,6 +343,8 @@ def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _alike(a: Any, b: Any, share: float) -> bool:
+    if isinstance(a, bool) != isinstance(b, bool):
+        return False
     if isinstance(a, float | int) and isinstance(b, float | int):
         both_nan = math.isnan(a) and math.isnan(b)
         return both_nan or math.isclose(a, b, rel_tol=share, abs_tol=1e-12)

@@ -7,6 +7,7 @@ that large, so that space falsifies an order by less than 0.1.
 """
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,13 @@ def curve(rows: Iterable[Row], norm: str, **parameters: Any) -> tuple[Array, Arr
     steps, errors : (n,) float arrays
         Empty if there is no such row.
 
+    Raises
+    ------
+    ValueError
+        If there are several rows with one step: of two meshes, say.
+    KeyError
+        If a row does not have this result.
+
     Examples
     --------
     >>> rows = [Row({"order": 5, "steps_per_unit": n}, {"l2": 2.0**-n}, {}) for n in (8, 4)]
@@ -46,7 +54,18 @@ def curve(rows: Iterable[Row], norm: str, **parameters: Any) -> tuple[Array, Arr
     [0.25  0.125] [0.0625     0.00390625]
     """
     found = select(rows, **parameters)
+    for row in found:
+        if norm not in row.results:
+            known = ", ".join(map(repr, row.results)) or "none"
+            raise KeyError(f"rows have no result {norm!r}, only {known}")
     points = sorted((-1 / r.parameters["steps_per_unit"], r.results[norm]) for r in found)
+    for (step, _), (next_step, _) in pairwise(points):
+        if step == next_step:
+            given = ", ".join(f"{name} = {value!r}" for name, value in parameters.items())
+            raise ValueError(
+                f"rows must be one for each step, but two have {given and given + ', '}step "
+                f"{-step:g}: another parameter must tell them apart"
+            )
     steps, errors = np.array(points, dtype=float).reshape(-1, 2).T
     return -steps, errors
 

@@ -125,6 +125,11 @@ def test_a_renewal_that_stops_between_two_rows_goes_on(tmp_path):
         ({"x": "a"}, {"x": "b"}, [("x", "a", "b")]),
         ({"x": [1.0]}, {"x": [1.0, 2.0]}, [("x[1]", None, 2.0)]),
         ({"x": 1.0}, {"y": 1.0}, [("x", 1.0, None), ("y", None, 1.0)]),
+        ({"x": None}, {}, [("x", None, None)]),
+        ({"x": []}, {"x": {}}, [("x", [], {})]),
+        ({"x": 1.0, "y": []}, {"x": 1.0}, [("y", [], None)]),
+        ({"x": True}, {"x": 1.0}, [("x", True, 1.0)]),
+        ({}, {}, []),
     ],
 )
 def test_changes_are_numbers_that_differ_by_more_than_a_percent(old, new, found):
@@ -143,6 +148,20 @@ def test_jobs_and_files_that_are_none_are_refused(tmp_path):
     assert campaign.read(tmp_path / "missing.jsonl") == []
     with pytest.raises(ValueError, match="there are no rows"):
         campaign.provenance([])
+    with pytest.raises(ValueError, match="share must be a finite number >= 0 and < 1, got 2"):
+        campaign.changes({}, {}, share=2)
+
+
+def test_rows_without_what_is_asked_for_are_named():
+    rows = [campaign.Row({"step": 0.5}, {"u": 1.0}, {}), campaign.Row({"step": 0.2}, {}, {})]
+    with pytest.raises(KeyError, match=r"rows\[0\] has no 'h', only 'u', 'step'"):
+        campaign.convergence(rows, "h")
+    with pytest.raises(KeyError, match=r"rows\[1\] has no 'u', only none"):
+        campaign.convergence(iter(rows), "step")
+    with pytest.raises(KeyError, match=r"rows\[0\] has no 'seconds', only none"):
+        campaign.origin("full", rows)
+    with pytest.raises(TypeError, match=r"rows\[0\] must be a Row, got 1"):
+        campaign.provenance([1])
 
 
 def test_provenance_names_every_machine(tmp_path):

@@ -41,6 +41,17 @@ def test_the_floor_needs_a_row_of_bdf5():
         floor(ROWS, "l2", degree=3)
 
 
+def test_rows_of_two_curves_are_not_taken_for_one():
+    with pytest.raises(ValueError, match=r"one for each step, but two have step 0\.25: another"):
+        curve(ROWS, "l2")
+    two = [Row({**row.parameters, "mesh": m}, row.results, {}) for m in "ab" for row in ROWS]
+    with pytest.raises(ValueError, match=r"but two have order = 5, step 0\.25: another parameter"):
+        floor(two, "l2")
+    assert floor(two, "l2", mesh="a") == floor(ROWS, "l2")
+    with pytest.raises(KeyError, match="rows have no result 'h1', only 'l2'"):
+        curve(ROWS, "h1", order=1)
+
+
 def test_a_table_takes_its_sizes_from_parameters_or_results():
     rows = [Row({"step": 0.5}, {"h": h, "u": h**2, "x": h**3}, {}) for h in (0.2, 0.1)]
     table = convergence(rows, "h", "x")
