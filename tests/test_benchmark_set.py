@@ -65,7 +65,54 @@ def test_the_checker_says_what_agrees_and_what_does_not(tmp_path, capsys):
     assert "agrees" in said
     assert "3 times ours" in said
     assert "1 of 2 numbers agree" in said
-    with pytest.raises(SystemExit, match=r"no row .*nick-7"):
+    with pytest.raises(SystemExit, match=r"row 0 has order 9 for nick-7\.3 sphere_1; there are 4$"):
         list(check.compared([mine | {"order": 9}], ERRORS))
     with pytest.raises(SystemExit, match="none of x_l2"):
         list(check.compared([mine | {"measured": {"w": 1.0}}], ERRORS))
+
+
+ROW = {"problem": "lmv-1", "mesh": "sphere_3", "order": 2, "step": 0.05, "measured": {"u_l2": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", r"there must be a list of rows, got \[\]"),
+        (json.dumps(ROW), "there must be a list of rows, got {"),
+        ("", "mine.json must be a file of JSON: Expecting value"),
+        ('["a"]', 'row 0 must have problem, mesh, order, step and measured, got "a"'),
+        (json.dumps([ROW | {"measured": {}}]), r'row 0 must have "measured", .*u_l2.*, got \{\}'),
+        (
+            json.dumps([ROW | {"measured": {"u_l2": "1"}}]),
+            'u_l2 of row 0 must be a number, got "1"',
+        ),
+        (json.dumps([ROW | {"measured": {"u_l2": [1, 2]}}]), r"must be a number, got \[1, 2\]"),
+        (
+            json.dumps([ROW | {"mesh": "sphere"}]),
+            'has mesh "sphere" for lmv-1; there are sphere_1, ',
+        ),
+        (
+            json.dumps([ROW | {"step": [0.05]}]),
+            r"has step \[0.05\] for .* 2; there are 0.05, 0.025",
+        ),
+        (json.dumps([ROW, ROW]), r'rows 0 and 1 are both for \["lmv-1"'),
+    ],
+)
+def test_the_checker_says_what_is_wrong_with_a_file(text, message, tmp_path):
+    file = tmp_path / "mine.json"
+    file.write_text(text)
+    with pytest.raises(SystemExit, match=message):
+        check.main(file)
+    with pytest.raises(SystemExit, match=r"must be a file of JSON: .*No such file"):
+        check.main(tmp_path / "none.json")
+
+
+def test_steps_are_the_same_to_nine_digits_and_files_of_any_unicode_encoding_are_read(tmp_path):
+    file = tmp_path / "mine.json"
+    known = next(r for r in ERRORS if all(r[k] == ROW[k] for k in check.KEY))
+    mine = ROW | {"step": 0.05000000000000001, "measured": {"u_l2": known["measured"]["u_l2"][0]}}
+    for encoding in ("utf-8-sig", "utf-16"):
+        file.write_text(json.dumps([mine]), encoding)
+        assert check.main(file) == 0
+    file.write_text(json.dumps([mine | {"measured": {"u_l2": float("nan")}}]))
+    assert check.main(file) == 1
