@@ -11,7 +11,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: help venv wheel book lite test test-long full fuzz mutants check-book check-firefox check-lite lint format \
-        clean test-oldest test-newest test-readers compare-builds lab
+        clean pyodide-there test-oldest test-newest test-readers compare-builds lab
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -41,8 +41,13 @@ $(LITE)/.installed: lite/requirements.txt
 	$(LITE)/bin/python -m pip install -q --disable-pip-version-check -r $<
 	touch $@
 
-lite: book $(LITE)/.installed ## the book with chapters that run in it (PYODIDE=folder or address of a distribution)
-	$(LITE)/bin/python lite/build.py $(PYODIDE)
+# Asked before the book is built, which takes minutes.
+pyodide-there:
+	@case "$(PYODIDE)" in ""|http://*|https://*) ;; *) test -d "$(PYODIDE)" || \
+	    { echo "PYODIDE must be a folder or an address, got $(PYODIDE)" >&2; exit 1; } ;; esac
+
+lite: pyodide-there book $(LITE)/.installed ## the book with chapters that run in it (PYODIDE=folder or address of a distribution)
+	$(LITE)/bin/python lite/build.py "$(PYODIDE)"
 
 # NGSolve, which tests/peers compares with. Where there is no wheel of it these tests are skipped,
 # but not in CI.
@@ -64,7 +69,8 @@ lab: $(STAMP) ## the chapters in JupyterLab
 	$(BIN)/jupyter lab book
 
 full: $(STAMP) ## the papers' own resolution, a good hour; interrupt at will, start again to go on (STALE=1 renews)
-	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
+	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),$(if $(filter-out 1,$(STALE)),$(error \
+	    STALE must be 1 or nothing, got $(STALE)),--stale))
 
 fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
 	$(BIN)/python tests/fuzz.py

@@ -26,6 +26,7 @@ import urllib.request
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,10 @@ class Package:
 
 class MissingError(Exception):
     """Something cannot be had, or is not what it should be."""
+
+
+#: What stands for it in the libraries; most of what urllib raises is an OSError.
+UNAVAILABLE = (MissingError, OSError, HTTPException, tarfile.TarError, zipfile.BadZipFile)
 
 
 def sha256(path: Path) -> str:
@@ -231,8 +236,10 @@ class Distribution:
         try:
             with urllib.request.urlopen(request) as answer:
                 return int(answer.headers["Content-Length"])
-        except OSError as error:
+        except (OSError, HTTPException) as error:
             raise MissingError(f"{request.full_url}: {error}") from error
+        except TypeError:
+            raise MissingError(f"{request.full_url} does not say how large it is") from None
 
     def closure(self, names: Iterable[str]) -> dict[str, Package]:
         """Return packages and all that they need."""
@@ -365,16 +372,31 @@ def in_place(distribution: Distribution) -> None:
     page.write_text(text, "utf8")
 
 
+def source_of(arguments: list[str]) -> str:
+    """Return the one argument: a folder that is there, an address, or "" for the registries."""
+    if len(arguments) > 1:
+        sys.exit(f"lite: PYODIDE must be one folder or address, got {len(arguments)}: {arguments}")
+    source = arguments[0].strip() if arguments else ""
+    address = re.match(r"https?:/{2}\S+$", source)
+    if source and not address and not Path(source).is_dir():
+        sys.exit(
+            "lite: PYODIDE must be a folder that is there or an address of http or https, got "
+            f"{source!r}"
+        )
+    return source
+
+
 def main() -> None:
     """Build the site and add the buttons, or say why not."""
+    source = source_of(sys.argv[1:])
     if not (BOOK / "book").is_dir():
         sys.exit("lite: there is no built book: run `make book`")
     try:
-        distribution = Distribution(sys.argv[1] if len(sys.argv) > 1 else "")
+        distribution = Distribution(source)
         packages = build(distribution)
         add_buttons(distribution, packages)
         in_place(distribution)
-    except (MissingError, OSError) as reason:  # what urllib raises is an OSError
+    except UNAVAILABLE as reason:
         shutil.rmtree(LITE, ignore_errors=True)
         print(f"lite: the book has no buttons, for something cannot be had: {reason}")
 

@@ -1,6 +1,8 @@
 """What `make lite` refuses, says and leaves alone; tests/lite runs what it builds."""
 
 import importlib.util
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +17,7 @@ def build(tmp_path, monkeypatch):
     spec = importlib.util.spec_from_file_location("lite_build", ROOT / "lite" / "build.py")
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "lite_build", module)
+    monkeypatch.setattr(sys, "argv", ["build.py"])
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "BOOK", tmp_path / "html")
     monkeypatch.setattr(module, "LITE", tmp_path / "html" / "lite")
@@ -46,6 +49,64 @@ def test_a_book_has_to_be_there(build, tmp_path):
     (tmp_path / "html" / "book").rmdir()
     with pytest.raises(SystemExit, match="there is no built book: run `make book`"):
         build.main()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["/no/such/folder"], "must be a folder that is there or .* got '/no/such/folder'"),
+        (["://x"], "an address of http or https, got '://x'"),
+        (["https://a b"], "got 'https://a b'"),
+        (["a", "b"], r"PYODIDE must be one folder or address, got 2: \['a', 'b'\]"),
+    ],
+)
+def test_what_is_no_folder_and_no_address_is_refused_and_an_older_site_stays(
+    arguments, message, build, monkeypatch
+):
+    build.LITE.mkdir()
+    monkeypatch.setattr(sys, "argv", ["build.py", *arguments])
+    with pytest.raises(SystemExit, match=message):
+        build.main()
+    assert build.LITE.exists()
+    assert build.source_of([]) == build.source_of([""]) == ""
+    assert build.source_of(["https://host/pyodide/"]) == "https://host/pyodide/"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["pyodide-there", "PYODIDE=/no/such"], "PYODIDE must be a folder or an address, got /no/"),
+        (["pyodide-there", "PYODIDE=/a b"], "PYODIDE must be a folder or an address, got /a b"),
+        (["-n", "full", "STALE=0"], "STALE must be 1 or nothing, got 0"),
+        (["-n", "full", "STALE=no"], "STALE must be 1 or nothing, got no"),
+    ],
+)
+def test_variables_of_make_that_mean_nothing_are_refused(arguments, message):
+    made = subprocess.run(
+        ["make", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert made.returncode != 0
+    assert message in made.stderr
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
+def test_variables_of_make_that_mean_something_are_taken(tmp_path):
+    folder = tmp_path / "with a blank"
+    folder.mkdir()
+    for value in ("", "https://host/pyodide", str(folder)):
+        subprocess.run(["make", "pyodide-there", f"PYODIDE={value}"], cwd=ROOT, check=True)
+    said = [
+        subprocess.run(
+            ["make", "-n", "full", *more], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        for more in ([], ["STALE="], ["STALE=1"])
+    ]
+    assert [("--stale" in made.stdout, made.returncode) for made in said] == [
+        (False, 0),
+        (False, 0),
+        (True, 0),
+    ]
 
 
 def test_a_wheel_with_another_sum_is_refused(build, tmp_path):
