@@ -167,6 +167,8 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     given_arguments = parser.parse_args()
+    if given_arguments.cases < 1:
+        parser.error("--cases must be 1 or more")
     matplotlib.use("agg")
     random.seed(given_arguments.seed)
     counts: Counter[tuple[str, str]] = Counter()

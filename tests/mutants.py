@@ -243,6 +243,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", default="", help="files or lines that hold this, as file.py:12")
     options = parser.parse_args()
+    if min(options.each, options.workers) < 1:
+        parser.error("--each and --workers must be 1 or more")
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(options.workers) as pool:
         folders: SimpleQueue[Path] = SimpleQueue()
@@ -257,7 +259,7 @@ def main() -> None:
                 print(f"{became:8} {mutant}", flush=True)
     n, killed = counts.total(), counts["killed"] + counts["hangs"]
     print(f"{killed} of {n} mutants killed, {counts['hangs']} of them because they hang")
-    sys.exit(killed < LEAST * n)
+    sys.exit(killed < LEAST * n or n == 0)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,10 @@ def chapters(numbers: list[str]) -> list[Path]:
     """Return the notebooks of these chapters, or of all."""
     if not numbers:
         return sorted(BOOK.glob("[0-9][0-9]_*.ipynb"))
-    return [path for number in numbers for path in sorted(BOOK.glob(f"{number}_*.ipynb"))]
+    found = {number: sorted(BOOK.glob(f"{number}_*.ipynb")) for number in numbers}
+    if unknown := [number for number, paths in found.items() if not paths]:
+        raise SystemExit(f"no chapter has the number {', '.join(unknown)}; write 02 for the second")
+    return [path for paths in found.values() for path in paths]
 
 
 def changed(source: str, factor: str = "1 / 2") -> tuple[str, list[str]]:
