@@ -108,7 +108,7 @@ def extrapolate(values: Sequence[Array]) -> Array:
     Parameters
     ----------
     values : sequence of arrays of one shape
-        p of them, newest first: the polynomial through them has degree p - 1.
+        p of them, up to 100, newest first: the polynomial through them has degree p - 1.
 
     Returns
     -------
@@ -126,6 +126,8 @@ def extrapolate(values: Sequence[Array]) -> Array:
     """
     if not isinstance(values, Sequence) or not len(values):
         raise TypeError(f"values must be a sequence of arrays of one shape, got {shown(values)}")
+    if len(values) > MOST_STEPS:
+        raise ValueError(f"values must be {MOST_STEPS} or fewer, got {len(values)}")
     arrays = [real_array(f"values[{j}]", w, ("...",)) for j, w in enumerate(values)]
     for j, w in enumerate(arrays):
         if w.shape != arrays[0].shape:

@@ -289,5 +289,10 @@ def _coefficients(delta: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
                 f"{name} must hold coefficients up to {_LARGEST:g}, got {np.abs(c).max():.3g}: "
                 "their products would overflow"
             )
+        if np.abs(c).max() < 1 / _LARGEST:
+            raise ValueError(
+                f"{name} must hold a coefficient of {1 / _LARGEST:g} or more, got "
+                f"{np.abs(c).max():.3g} at most: products would vanish"
+            )
     n = max(len(d), len(m))
     return np.pad(d, (0, n - len(d))), np.pad(m, (0, n - len(m)))

@@ -49,3 +49,8 @@ def test_zero_stability_ends_at_six(p, stable):
 def test_refuses(function, p):
     with pytest.raises(ValueError, match="order p must be an integer from 1 to 100"):
         function(p)
+
+
+def test_no_more_values_are_extrapolated_than_there_are_coefficients_for():
+    with pytest.raises(ValueError, match="values must be 100 or fewer, got 101"):
+        ec.bdf.extrapolate([np.ones(1)] * 101)

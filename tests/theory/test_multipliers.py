@@ -267,3 +267,10 @@ class TestOtherPolynomials:
     def test_polynomials_without_a_matrix_are_refused(self, delta, mu, message):
         with pytest.raises(ValueError, match=message):
             multipliers.g_matrix_of(delta, mu)
+
+
+@pytest.mark.parametrize("tiny", [0.0, 1e-200])
+def test_coefficients_whose_products_would_vanish_are_named(tiny):
+    for delta, mu, name in (([tiny, -tiny], [1], "delta"), ([1, -1], [tiny], "mu")):
+        with pytest.raises(ValueError, match=rf"{name} must hold a coefficient of 1e-100 or more"):
+            multipliers.g_matrix_of(delta, mu)
