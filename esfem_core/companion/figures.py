@@ -6,6 +6,7 @@ matplotlib is needed; it is imported when a figure is made.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def error_curves(
     1
     """
     rows, thin = list(rows), list(thin)
-    looks = zip(selections.items(), COLOURS, MARKERS, strict=False)
+    looks = zip(selections.items(), cycle(COLOURS), cycle(MARKERS), strict=False)
     for (label, selection), colour, marker in looks:
         steps, errors = curve(rows, norm, **selection)
         ax.loglog(steps, errors, marker + "-", color=colour, markersize=5, label=label)
@@ -76,6 +77,11 @@ def slope_fan(axes: Sequence[Axes], bottom: float, slopes: Sequence[Iterable[int
     slopes : sequence of iterables of int
         For each of the axes.
 
+    Raises
+    ------
+    ValueError
+        If nothing is drawn in the axes yet.
+
     Examples
     --------
     >>> import matplotlib.figure
@@ -87,7 +93,10 @@ def slope_fan(axes: Sequence[Axes], bottom: float, slopes: Sequence[Iterable[int
     >>> [text.get_text() for text in ax.texts]
     ['1', '2']
     """
-    smallest = min(float(np.min(line.get_xdata())) for ax in axes for line in ax.get_lines())
+    drawn = [line.get_xdata() for ax in axes for line in ax.get_lines()]
+    if not drawn:
+        raise ValueError("axes must have curves already: the lines fan out from the smallest step")
+    smallest = min(float(np.min(steps)) for steps in drawn)
     ticks = 2.0 ** -np.arange(2, 1 - np.round(np.log2(smallest)))
     ends = smallest / 3 * np.array([1, 2])
     look: dict[str, Any] = {"color": "0.3", "fontsize": 8, "textcoords": "offset points"}

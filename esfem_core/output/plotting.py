@@ -108,6 +108,10 @@ def convergence_plot(
     if not hasattr(ax, "loglog"):
         raise TypeError(f"ax must be axes of matplotlib, got {shown(ax)}")
     curves = {label: _positive(f"errors[{label!r}]", e, h.shape) for label, e in errors.items()}
+    if hidden := [label for label in curves if label.startswith("_")]:
+        raise ValueError(
+            f"errors must not have names that begin with _, which no legend shows, got {hidden}"
+        )
     for i, (label, e) in enumerate(curves.items()):
         rate = np.polyfit(np.log(h), np.log(e), 1)[0]
         ax.loglog(

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from esfem_core.companion.campaign import convergence
+from esfem_core.companion.figures import error_curves, slope_fan
 from esfem_core.companion.regimes import MARGIN, curve, floor, orders_in_time, where_space_begins
+from esfem_core.output import COLOURS
 from esfem_core.study import Row
 
 SPACE = 1e-6
@@ -50,6 +53,18 @@ def test_rows_of_two_curves_are_not_taken_for_one():
     assert floor(two, "l2", mesh="a") == floor(ROWS, "l2")
     with pytest.raises(KeyError, match="rows have no result 'h1', only 'l2'"):
         curve(ROWS, "h1", order=1)
+
+
+def test_every_curve_is_drawn_also_where_the_colours_come_to_their_end():
+    ax = Figure().subplots()
+    many = {f"curve {i}": {"order": 1} for i in range(len(COLOURS) + 2)}
+    error_curves(ax, ROWS, "l2", many)
+    assert [line.get_label() for line in ax.get_lines()] == list(many)
+
+
+def test_lines_of_reference_need_a_curve():
+    with pytest.raises(ValueError, match="axes must have curves already"):
+        slope_fan([Figure().subplots()], 1e-3, [(1, 2)])
 
 
 def test_a_table_takes_its_sizes_from_parameters_or_results():

@@ -135,3 +135,12 @@ def test_curves_take_the_colours_and_markers_of_the_palette_in_turn():
     lines = ax.get_lines()[: len(curves)]
     assert [line.get_color() for line in lines] == [*COLOURS, COLOURS[0]]
     assert [line.get_marker() for line in lines] == [*MARKERS, MARKERS[0]]
+
+
+def test_a_curve_that_the_legend_would_leave_out_is_refused():
+    from matplotlib.figure import Figure
+
+    ax = Figure().subplots()
+    with pytest.raises(ValueError, match=r"must not have names that begin with _, .* got \['_u'\]"):
+        convergence_plot(ax, [0.1, 0.05], {"_u": [1.0, 0.5]}, 1, "step")
+    assert not ax.lines
