@@ -13,12 +13,12 @@ the Weingarten map at the closest point p, and D²d = W (I + d W)^{-1} at the po
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array
+from esfem_core.checks import Array, finite_array, function, object_of
 from esfem_core.elements import SurfaceSpace
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
@@ -35,6 +35,7 @@ __all__ = [
     "tangent_projection",
 ]
 
+STILL = 1e-6  # how far a motion may take points at t = 0, over the largest coordinate
 Function = Callable[[Array], Array]
 
 
@@ -206,12 +207,23 @@ def lift_operators(space: SurfaceSpace, x: Array, surface: ExactSurface) -> tupl
     >>> bool(abs(apply(B @ lifted, gradient) - gradient).max() < 1e-14)
     True
     """
+    ratio = lift(space, x, surface).ratio  # which looks at the arguments
     near = surface.near(space.quadrature_points(x))
-    ratio = lift(space, x, surface).ratio
     shrinking = _shrinking(near)
     B = tangent_projection(space.normals(x)) @ shrinking
     R = tangent_projection(near.normal) @ shrinking @ B / ratio[..., None, None]
     return B, R
+
+
+def _checked(name: str, given: Callable[..., Any]) -> Callable[..., Array]:
+    """A function of points, and perhaps a time, that returns as many vectors, looked at."""
+    function(name, given, "of points (..., 3)")
+
+    def values(x: Array, *t: float) -> Array:
+        called = f"{name}(x{', t' if t else ''})"
+        return finite_array(called, given(x, *t), x.shape)
+
+    return values
 
 
 def geometric_errors(
@@ -243,8 +255,9 @@ def geometric_errors(
 
     Raises
     ------
-    ValueError
-        If a quadrature point has no unique closest point.
+    TypeError, ValueError
+        If a quadrature point has no unique closest point, a function does not return finite values
+        of the shape stated, or ``motion(x, 0)`` is not x.
 
     Examples
     --------
@@ -261,10 +274,22 @@ def geometric_errors(
     >>> print(f"{found.distance:.3f} {found.normal:.3f}")
     0.013 0.096
     """
+    object_of("space", space, SurfaceSpace)
+    function("surface", surface, "of a time")
     x = space.nodes
     onto = lift(space, x, surface(0.0))
+    y, shape = onto.points, onto.points.shape
+    motion = _checked("motion", motion)
+    if (away := np.abs(motion(x, 0.0) - x).max()) > STILL * np.abs(x).max():
+        raise ValueError(
+            f"motion must leave points where they are at t = 0, but moves one by {away:.3g}"
+        )
+    slope = _checked("gradient", gradient)(y)
+    speed = _checked("velocity", velocity)(y)
+    function("u", u, "of points (..., 3)")
+    nodal, there = finite_array("u(x)", u(x), (len(x),)), finite_array("u(x)", u(y), shape[:-1])
     tensor = onto.tensor - tangent_projection(space.normals(x))
-    nodal, exact = u(x), apply(tangent_projection(onto.normal), gradient(onto.points))
+    exact = apply(tangent_projection(onto.normal), slope)
 
     def excess(t: float) -> Array:  # (δ_h - 1) s
         moved = motion(x, t)
@@ -282,8 +307,8 @@ def geometric_errors(
         m=np.abs(onto.ratio - 1).max(),
         a=largest_norm(tensor),
         q=np.abs(derivative(excess) / space.density(x)).max(),
-        velocity=norm(derivative(lifted) - velocity(onto.points)),
-        u_l2=norm(space.evaluate(nodal) - u(onto.points)),
+        velocity=norm(derivative(lifted) - speed),
+        u_l2=norm(space.evaluate(nodal) - there),
         u_h1=norm(apply(onto.gradient, space.gradient(x, nodal)) - exact),
         b=norm(apply(lift_operators(space, x, surface(0.0))[0], exact) - exact),
         m_smooth=abs(nodal @ (mass(space, x, onto.ratio - 1) @ nodal)),

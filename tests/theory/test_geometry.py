@@ -88,3 +88,36 @@ def test_sizes_are_frobenius_norms():
 def test_a_normal_that_is_no_vector_is_refused():
     with pytest.raises(ValueError, match="normal must have shape"):
         geometry.tangent_projection([1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"space": 3}, "space must be a SurfaceSpace, got 3"),
+        ({"surface": Sphere()}, "surface must be a function of a time, got Sphere"),
+        ({"surface": lambda t: 1.0}, "surface must be an ExactSurface, got 1"),
+        ({"motion": lambda x, t: (2 + t) * x}, "motion must leave points .*, but moves one by 0"),
+        (
+            {"motion": lambda x, t: x[:, 0]},
+            r"motion\(x, t\) must have shape \(12, 3\), got \(12,\)",
+        ),
+        ({"velocity": lambda x: 1.0}, r"velocity\(x\) must have shape \(20, 3, 3\), got \(\)"),
+        ({"gradient": linear}, r"gradient\(x\) must have shape \(20, 3, 3\), got \(20, 3\)"),
+        ({"u": lambda x: x}, r"u\(x\) must have shape \(12,\), got \(12, 3\)"),
+        ({"u": lambda x: np.nan * x[..., 0]}, r"u\(x\) must be finite, but"),
+    ],
+)
+def test_what_is_no_geometry_is_named(other, message):
+    given = {
+        "space": ec.SurfaceSpace(ec.sphere("icosahedron", 0)),
+        "surface": lambda t: Sphere(1 + t),
+        "motion": lambda x, t: (1 + t) * x,
+        "velocity": lambda x: x,
+        "u": linear,
+        "gradient": linear_gradient,
+    }
+    with pytest.raises((TypeError, ValueError), match=message):
+        geometry.geometric_errors(**{**given, **other})
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 0))
+    with pytest.raises(TypeError, match="surface must be an ExactSurface, got 'sphere'"):
+        geometry.lift_operators(space, space.nodes, "sphere")
