@@ -66,7 +66,8 @@ def repair(
     -------
     trimesh.Trimesh
         Accepted by :func:`esfem_core.check_triangulation`. Colours and textures are lost if
-        anything was done.
+        anything was done. Of triangles at one place, alike oriented, one is kept: a part that is in
+        a file twice is no cavity of itself.
 
     Raises
     ------
@@ -93,11 +94,16 @@ def repair(
     if report is not None:
         function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
-    if fault(vertices, faces) is None:
+    once = _without_copies(vertices, faces)
+    copies = len(faces) - len(once)
+    if copies == 0 and fault(vertices, faces) is None:
         if report is not None:
             report("nothing to repair")
         return tri.copy()
+    faces = once
     result = repaired(vertices, faces, holes)
+    if copies:
+        result.steps.insert(0, f"dropped {counted(copies, 'triangle')} at the places of others")
     if report is not None:
         for step in result.steps:
             report(step)
@@ -109,6 +115,21 @@ def repair(
     made = trimesh.Trimesh(result.vertices, result.faces, process=False, metadata=tri.metadata)
     made.units = tri.units
     return made
+
+
+def _without_copies(vertices: Array, faces: Ints) -> Ints:
+    """Triangles without those that lie where another one does, corner on corner, alike oriented.
+
+    Vertices of a surface that is closed are not merged, so that two copies of it would stay, each
+    of them a cavity of the other.
+    """
+    known = np.flatnonzero(((faces >= 0) & (faces < len(vertices))).all(axis=1))
+    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].ravel()[faces[known]]
+    first = places.argmin(axis=1)  # the corner to begin with
+    turned = np.take_along_axis(places, (first[:, None] + np.arange(3)) % 3, axis=1)
+    again = np.ones(len(known), dtype=bool)
+    again[np.unique(turned, axis=0, return_index=True)[1]] = False
+    return np.delete(faces, known[again], axis=0)
 
 
 class Repaired(NamedTuple):

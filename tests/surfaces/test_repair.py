@@ -161,6 +161,18 @@ def test_boxes_with_a_common_wall_become_one_body():
     assert one.volume == pytest.approx(2)
 
 
+@pytest.mark.parametrize("copies", [2, 3])
+def test_of_copies_of_a_surface_one_is_kept(copies):
+    """Closed as each is, none would be merged; each lies in the other, and both turned inwards."""
+    whole, said = repaired(trimesh.util.concatenate([SPHERE] * copies))
+    assert (
+        said[0] == f"dropped {(copies - 1) * len(SPHERE.faces)} triangles at the places of others"
+    )
+    assert len(whole.faces) == len(SPHERE.faces)
+    assert whole.volume == pytest.approx(SPHERE.volume)
+    ec.check_triangulation(whole)
+
+
 def test_sheets_beside_a_body_are_dropped():
     sheet = mesh([[5.0, 0, 0], [6, 0, 0], [5, 1, 0]], [[0, 1, 2]])
     whole, said = repaired(joined(SPHERE, sheet))
