@@ -1,9 +1,10 @@
 """A discrete surface by its tangent planes at many points: quick distances of points nearby."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Ints, number
+from esfem_core.checks import Array, Ints, finite_array, number, object_of
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.recovery import nodal_average
 from esfem_core.elements.surface import Surface
@@ -38,7 +39,8 @@ class TangentPlanes:
     Raises
     ------
     ValueError, TypeError
-        If `spacing` is a number that is not positive.
+        If an argument has the wrong shape or type, a spacing is not finite and positive, or a
+        normal is not finite or zero.
 
     Examples
     --------
@@ -52,16 +54,19 @@ class TangentPlanes:
     """
 
     def __init__(self, at: Surface, spacing: float | Array, normal: Array | None = None) -> None:
-        if np.ndim(spacing) == 0:
-            spacing = number("spacing", spacing, above=0)
-        space = at.space
+        space = object_of("at", at, Surface).space
+        spacing = _positive(spacing, len(space.cells))
         if normal is None:
             normal = nodal_average(at, at.normal)
-        self.nodal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = finite_array("normal", normal, at.x.shape)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        if not length.all():
+            raise ValueError(f"normal must not be zero, but is at node {np.argmin(length)}")
+        self.nodal = normal / length
         corners = at.x[space.cells[:, :3]]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        parts = 2 ** np.ceil(np.log2(np.maximum(longest / spacing, 1))).astype(int)
-        parts = np.minimum(parts, FINEST)
+        wanted = np.clip(longest / spacing, 1, FINEST)
+        parts = 2 ** np.ceil(np.log2(wanted)).astype(int)
         points, normals, self._where = [], [], []
         for n in np.unique(parts):
             cells = space.cells[parts == n]
@@ -112,6 +117,17 @@ class TangentPlanes:
             found[moved] = self._tree.query(x[moved])[1]
             self._last = x.copy(), found
         return found
+
+
+def _positive(spacing: ArrayLike, n_cells: int) -> float | Array:
+    """Spacings of all elements, or of each, (T,)."""
+    if np.ndim(spacing) == 0:
+        return number("spacing", spacing, above=0)
+    each = finite_array("spacing", spacing, (n_cells,))
+    if not (each > 0).all():
+        t = int(np.argmin(each > 0))
+        raise ValueError(f"spacing must be > 0, but spacing[{t}] is {each[t]}")
+    return each
 
 
 def _centres(parts: int) -> Array:

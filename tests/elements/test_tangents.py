@@ -36,3 +36,36 @@ def test_values_are_looked_up_where_points_are_near():
     points = ec.sphere("octahedron", 2).vertices
     found = planes.values(space.nodes[:, 2], points)
     assert np.abs(found - points[:, 2]).max() < 0.03
+
+
+def test_spacings_and_normals_that_give_no_planes_are_refused():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1)
+    at = ec.Surface(space, space.nodes)
+    for bad in (0.0, -1.0):
+        spacing = np.full(32, 0.1)
+        spacing[3] = bad
+        with pytest.raises(ValueError, match=rf"spacing must be > 0, but spacing\[3\] is {bad}"):
+            TangentPlanes(at, spacing)
+    with pytest.raises(ValueError, match=r"spacing must be finite, but spacing\[0\] is nan"):
+        TangentPlanes(at, np.full(32, np.nan))
+    with pytest.raises(ValueError, match=r"spacing must have shape \(32,\), got \(3,\)"):
+        TangentPlanes(at, np.ones(3))
+    with pytest.raises(ValueError, match="spacing must be a finite number > 0, got 0"):
+        TangentPlanes(at, 0)
+    with pytest.raises(ValueError, match=r"normal must have shape \(18, 3\), got \(3,\)"):
+        TangentPlanes(at, 0.1, np.ones(3))
+    normal = space.nodes.copy()
+    normal[5] = 0
+    with pytest.raises(ValueError, match="normal must not be zero, but is at node 5"):
+        TangentPlanes(at, 0.1, normal)
+    with pytest.raises(TypeError, match="at must be a Surface"):
+        TangentPlanes(space, 0.1)
+
+
+def test_no_spacing_is_too_small_for_a_64th_of_a_side():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), 1)
+    at = ec.Surface(space, space.nodes)
+    points = 1.1 * ec.sphere("octahedron", 1).vertices
+    least = TangentPlanes(at, np.sqrt(2) / 64).distance(points)
+    np.testing.assert_array_equal(TangentPlanes(at, 1e-300).distance(points), least)
+    np.testing.assert_array_equal(TangentPlanes(at, np.full(8, 1e-300)).distance(points), least)
