@@ -82,6 +82,7 @@ def read_mesh(
         Nastran, Medit, XDMF and what else meshio reads with ``pip install esfem-core[files]``.
     unit : str, optional
         Unit of length of the result, such as "meters" or "millimeters"; that of the file if None.
+        Parts of a scene that do not say theirs are taken to have that of the others.
     report : callable, optional
         Is told, in lines of text, what was found and done, and whether the mesh is fit for a
         :class:`esfem_core.SurfaceSpace`, or else what helps.
@@ -96,8 +97,8 @@ def read_mesh(
     FileNotFoundError, ImportError
         If there is no such file, or a package that reads it is missing.
     TypeError, ValueError
-        If the source is none of these, cannot be read, or holds no triangles; if `unit` is given,
-        but unknown or the source has none.
+        If the source is none of these, cannot be read, or holds no triangles; if it is a scene
+        whose parts have different units; if `unit` is given, but unknown or the source has none.
 
     Examples
     --------
@@ -112,6 +113,8 @@ def read_mesh(
         string("unit", unit)
     if report is not None:
         function("report", report, "of a line of text, or None")
+    if isinstance(source, trimesh.Scene):
+        _check_units(source)
     found = _elements(source)
     if found.points.shape[1:] != (3,):
         raise ValueError(
@@ -336,6 +339,18 @@ def _kind(name: str) -> str:
     plain = name.lower().replace("vtk_lagrange_", "")
     plain = plain.replace("quadrilateral", "quad").replace("tetrahedron", "tetra")
     return re.sub(r"\d+$", "", plain)
+
+
+def _check_units(scene: trimesh.Scene) -> None:
+    """Refuse parts whose lengths are not in one unit: joined, they would not fit together."""
+    parts = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+    units = sorted({p.units for p in parts if isinstance(p, trimesh.Trimesh) and p.units})
+    if len(units) > 1:
+        raise ValueError(
+            f"source must have parts of one unit, but those of the scene are in "
+            f"{' and '.join(units)}: part.convert_units({units[0]!r}) for each part, before the "
+            "scene is made of them"
+        )
 
 
 def _triangles(found: Elements) -> Ints:

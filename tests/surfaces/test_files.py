@@ -121,6 +121,21 @@ def test_units_are_kept_converted_or_missed(folder):
         read(written(folder, "sphere.stl"), unit="meters")
 
 
+def test_parts_in_different_units_are_not_joined():
+    small, large = SPHERE.copy(), SPHERE.copy().apply_translation([3, 0, 0])
+    small.units, large.units = "mm", "m"
+    scene = trimesh.Scene([small, large])
+    for unit in ("m", None):
+        with pytest.raises(ValueError, match=r"in m and mm: part\.convert_units\('m'\) for each"):
+            read(scene, unit=unit)
+    small.convert_units("m")
+    tri, _ = read(trimesh.Scene([small, large]))
+    assert tri.units == "m"
+    assert tri.volume == pytest.approx((1 + 1e-9) * SPHERE.volume)
+    large.metadata.pop("units")
+    assert read(trimesh.Scene([small, large]))[0].units == "m"
+
+
 def test_meshes_of_meshio_and_trimesh_are_taken():
     cells = [("triangle", np.asarray(SPHERE.faces))]
     for source in (meshio.Mesh(SPHERE.vertices, cells), SPHERE, soup(SPHERE)):
