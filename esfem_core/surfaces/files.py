@@ -20,7 +20,13 @@ from esfem_core.checks import Array, Ints, function, shown, string
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
-from esfem_core.surfaces.repair import counted, merged, remedy, without_unused
+from esfem_core.surfaces.repair import (
+    check_coordinates,
+    counted,
+    merged,
+    remedy,
+    without_unused,
+)
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -97,8 +103,9 @@ def read_mesh(
     FileNotFoundError, ImportError
         If there is no such file, or a package that reads it is missing.
     TypeError, ValueError
-        If the source is none of these, cannot be read, or holds no triangles; if it is a scene
-        whose parts have different units; if `unit` is given, but unknown or the source has none.
+        If the source is none of these, cannot be read, holds no triangles, or has coordinates
+        beyond 1e75; if it is a scene whose parts have different units; if `unit` is given, but
+        unknown or the source has none.
 
     Examples
     --------
@@ -142,7 +149,9 @@ def read_mesh(
                 f"{faces.max()} and down to {faces.min()}, but there are 0 to {len(vertices) - 1}"
             )
         steps.append(f"dropped {counted((~fit).sum(), 'triangle')} with missing corners")
-    vertices, faces = without_unused(vertices, faces[fit], [] if curved else steps)
+    faces = faces[fit]
+    check_coordinates(f"source, {found.name},", vertices, faces)
+    vertices, faces = without_unused(vertices, faces, [] if curved else steps)
     vertices, faces = _joined(vertices, faces, steps)
     scale, unit = _scale(found, unit)
     made = trimesh.Trimesh(scale * vertices, faces, process=False)

@@ -24,13 +24,23 @@ from esfem_core.surfaces.faults import (
 )
 from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree
 
-__all__ = ["Repaired", "counted", "merged", "remedy", "repair", "repaired", "without_unused"]
+__all__ = [
+    "Repaired",
+    "check_coordinates",
+    "counted",
+    "merged",
+    "remedy",
+    "repair",
+    "repaired",
+    "without_unused",
+]
 
 HOLE = 12  # edges of the largest hole that is filled without being asked for
 LID = 200  # edges of the largest hole that a message offers to fill
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 SEPARATION = 1e-3  # how far a vertex that is split moves into its fan, over the fan's size
 FLIPS = 10  # sweeps over flat triangles
+FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
 
 
 def repair(
@@ -72,8 +82,9 @@ def repair(
     Raises
     ------
     TypeError, ValueError
-        If `tri` is not a :class:`trimesh.Trimesh`; if what comes out would be refused: it is not
-        closed, not a manifold, or not orientable. The message says what is left to a person.
+        If `tri` is not a :class:`trimesh.Trimesh` or has coordinates beyond 1e75; if what comes out
+        would be refused: it is not closed, not a manifold, or not orientable. The message says what
+        is left to a person.
 
     Examples
     --------
@@ -94,6 +105,7 @@ def repair(
     if report is not None:
         function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
+    check_coordinates("tri", vertices, faces)
     once = _without_copies(vertices, faces)
     copies = len(faces) - len(once)
     if copies == 0 and fault(vertices, faces) is None:
@@ -130,6 +142,27 @@ def _without_copies(vertices: Array, faces: Ints) -> Ints:
     again = np.ones(len(known), dtype=bool)
     again[np.unique(turned, axis=0, return_index=True)[1]] = False
     return np.delete(faces, known[again], axis=0)
+
+
+def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
+    """Refuse vertices of triangles so far away that areas and volumes are no numbers.
+
+    Those that are not finite are left to a repair.
+
+    Examples
+    --------
+    >>> check_coordinates("tri", 1e80 * np.eye(3), np.array([[0, 1, 2]]))
+    Traceback (most recent call last):
+        ...
+    ValueError: tri must have coordinates up to 1e+75, but vertex 0 is [1e+80, 0.0, 0.0]
+    """
+    far = (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1)
+    used = np.intersect1d(np.flatnonzero(far), faces)
+    if len(used):
+        raise ValueError(
+            f"{name} must have coordinates up to {FARTHEST:g}, but vertex {used[0]} is "
+            f"{vertices[used[0]].tolist()}"
+        )
 
 
 class Repaired(NamedTuple):

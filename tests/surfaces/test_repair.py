@@ -189,3 +189,13 @@ def test_what_cannot_be_repaired_is_said():
         ec.repair("bunny.ply")
     with pytest.raises(ValueError, match="holes must be an integer >= 0"):
         ec.repair(SPHERE, holes=-1)
+
+
+@pytest.mark.parametrize("make", [ec.repair, ec.read_mesh])
+def test_vertices_too_far_away_for_areas_are_refused_and_named(make):
+    for size in (1e76, 1e99, 1e110, 1e200, 1e300):
+        with pytest.raises(ValueError, match=r"have coordinates up to 1e\+75, but vertex 0 is \["):
+            make(mesh(size * SPHERE.vertices, SPHERE.faces), report=None)
+    assert make(mesh(1e75 * SPHERE.vertices, SPHERE.faces), report=None).is_watertight
+    unused = mesh(np.vstack([SPHERE.vertices, [[1e300, 0, 0]]]), SPHERE.faces)
+    assert len(make(unused, report=None).vertices) == 42
