@@ -183,6 +183,8 @@ class LedgerRuns(LedgerDirective):
                         resting += nodes.Text(", ")
                     uri = f"#claim-{anchor(row['id'])}"
                     resting += nodes.reference("", row["id"], internal=True, refuri=uri)
+            if not resting.children:
+                resting += nodes.Text("none")
             texts = [experiment.title, f"{current} of {len(stored)}", dates[-1] if dates else ""]
             name = nodes.paragraph("", "", nodes.literal("", experiment.name))
             lines.append(cells(name, *(nodes.paragraph("", text) for text in texts), resting))
