@@ -108,7 +108,7 @@ class Expressions:
         hessian = [sympy.diff(w, s) for w in gradient for s in space]
         self.hessians = self._numeric(hessian, (count, 3, 3))
         try:
-            self.jet(np.ones((1, 3)), 1.0)
+            self.jet(np.ones((2, 3)), 1.0)  # functions of math take an array of one in old NumPy
         except (NameError, TypeError, ValueError) as error:
             raise ValueError(
                 f"{name} must be smooth and of functions that NumPy has, but it or one of its "
