@@ -1,7 +1,7 @@
 """Moving surfaces: for notebooks and web pages with a time slider, or as films.
 
-plotly is needed for the former, matplotlib for both (``pip install esfem-core[book]``); they are
-imported when a function is called.
+plotly is needed for the former, matplotlib for both (``pip install matplotlib "plotly>=6"``); they
+are imported when a function is called.
 """
 
 from __future__ import annotations
@@ -171,7 +171,8 @@ def animate(
     FileNotFoundError
         If the directory does not exist.
     ImportError
-        If ".mp4" is asked for and there is no ffmpeg, with which matplotlib makes it.
+        Without matplotlib, without plotly if it is no film, or if ".mp4" is asked for and there is
+        no ffmpeg, with which matplotlib makes it.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Pictures of a surface with a function on it.
 
-matplotlib is needed (``pip install esfem-core[book]``); it is imported when a function is called,
+matplotlib is needed (``pip install matplotlib``); it is imported when a function is called,
 so that the solver does not depend on it.
 """
 
@@ -77,6 +77,8 @@ def plot(
     ------
     TypeError, ValueError
         If it is no state that knows its space, or there are no such values.
+    ImportError
+        Without matplotlib.
 
     Examples
     --------

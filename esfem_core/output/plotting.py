@@ -1,6 +1,6 @@
 """Convergence plots, and how the book's plots look.
 
-matplotlib is needed (``pip install esfem-core[book]``); it is imported when a function is called,
+matplotlib is needed (``pip install matplotlib``); it is imported when a function is called,
 so that the solver does not depend on it.
 """
 
