@@ -179,15 +179,17 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
 def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:
     """Rows of a file, and how many of its bytes they are."""
     *lines, last = data.split(b"\n")
+    left_over = len(last) if _is_cut_off(last) else 0
+    if not left_over:
+        lines.append(last)  # whole, but for its end
     rows = []
-    for number, line in enumerate([*lines, last], start=1):
-        if not line.strip() or (number > len(lines) and _is_cut_off(line)):
-            continue
+    for number, line in enumerate(lines, start=1):
         try:
-            rows.append(_row(line))
+            if line.strip():
+                rows.append(_row(line))
         except ValueError as error:
             raise ValueError(f"{path} is not a file of results: line {number}: {error}") from None
-    return rows, len(data) - (len(last) if _is_cut_off(last) else 0)
+    return rows, len(data) - left_over
 
 
 def _is_cut_off(line: bytes) -> bool:
