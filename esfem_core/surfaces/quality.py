@@ -1,11 +1,13 @@
 """How good the triangles of a mesh are."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
 from esfem_core.surfaces.faults import check_is_trimesh
+from esfem_core.surfaces.orientation import sides_of
 from esfem_core.tables import html_table
 
 __all__ = ["Quality", "mesh_quality"]
@@ -19,7 +21,8 @@ class Quality:
     ----------
     vertices, triangles : int
     euler : int
-        V - F/2, on a closed mesh the Euler number V - E + F = 2 (components - handles).
+        The Euler number V - E + F of the vertices that belong to triangles: on a closed mesh
+        2 (components - handles).
     min_angle, max_angle : float
         In degrees; 60 for equilateral triangles.
     mean_ratio, min_ratio : float
@@ -41,8 +44,8 @@ class Quality:
 
     @property
     def uniformity(self) -> float:
-        """h_max/h_min."""
-        return self.h_max / self.h_min
+        """h_max/h_min, infinite if an edge has no length."""
+        return self.h_max / self.h_min if self.h_min > 0 else math.inf
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -78,7 +81,8 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     Raises
     ------
     TypeError, ValueError
-        If `tri` is not a :class:`trimesh.Trimesh` or has no triangles.
+        If `tri` is not a :class:`trimesh.Trimesh`, has no triangles, or triangles with corners
+        that are missing or not finite.
 
     Examples
     --------
@@ -90,7 +94,18 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     check_is_trimesh("tri", tri)
     if len(tri.faces) == 0:
         raise ValueError("tri must have triangles, got none")
-    corners = np.asarray(tri.vertices, dtype=float)[np.asarray(tri.faces)]
+    vertices, faces = np.asarray(tri.vertices, dtype=float), np.asarray(tri.faces)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"tri must have triangles of its vertices, 0 to {len(vertices) - 1}, but they name "
+            f"{faces.min()} to {faces.max()}"
+        )
+    corners = vertices[faces]
+    if not np.isfinite(corners).all():
+        i = int(faces[~np.isfinite(corners).all(axis=2)].min())
+        raise ValueError(f"tri must have finite vertices, but vertex {i} is {vertices[i].tolist()}")
+    _, scale = np.frexp(np.abs(corners).max())  # a power of 2: it rounds nothing
+    corners = np.ldexp(corners, -scale)
     sides = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # opposite to each corner
     lengths = np.linalg.norm(sides, axis=2)
     double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
@@ -101,12 +116,12 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     return Quality(
         vertices=len(tri.vertices),
         triangles=len(tri.faces),
-        euler=int(len(tri.vertices) - len(tri.faces) // 2),
+        euler=len(np.unique(faces)) - int(sides_of(faces).edge.max()) - 1 + len(faces),
         min_angle=float(angles.min()),
         max_angle=float(angles.max()),
         mean_ratio=float(ratio.mean()),
         min_ratio=float(ratio.min()),
-        h_min=float(lengths.min()),
-        h_mean=float(lengths.mean()),
-        h_max=float(lengths.max()),
+        h_min=float(np.ldexp(lengths.min(), scale)),
+        h_mean=float(np.ldexp(lengths.mean(), scale)),
+        h_max=float(np.ldexp(lengths.max(), scale)),
     )

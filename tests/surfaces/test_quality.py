@@ -45,3 +45,40 @@ def test_only_triangles_can_be_measured():
         ec.mesh_quality(None)
     with pytest.raises(ValueError, match="tri must have triangles, got none"):
         ec.mesh_quality(trimesh.Trimesh())
+
+
+def test_the_euler_number_is_that_of_any_mesh():
+    tri = ec.sphere("octahedron", 2)
+    tri.update_faces(tri.triangles_center[:, 2] > 0)
+    assert ec.mesh_quality(tri).euler == 1  # vertices without triangles do not count
+    tri.remove_unreferenced_vertices()
+    assert ec.mesh_quality(tri).euler == 1
+
+
+def test_an_edge_without_length_makes_a_mesh_infinitely_uneven():
+    q = ec.mesh_quality(trimesh.Trimesh(np.eye(3), [[0, 1, 2], [0, 0, 1]], process=False))
+    assert q.uniformity == np.inf
+    assert "longest edge over shortest: inf" in str(q)
+
+
+def test_vertices_that_are_not_finite_are_named():
+    tri = ec.sphere("octahedron", 1)
+    tri.vertices[3] = np.nan
+    with pytest.raises(ValueError, match=r"tri must have finite vertices, but vertex 3 is \[nan"):
+        ec.mesh_quality(tri)
+
+
+def test_triangles_without_their_corners_are_refused():
+    with pytest.raises(ValueError, match="of its vertices, 0 to 2, but they name 0 to 9"):
+        ec.mesh_quality(trimesh.Trimesh(np.eye(3), [[0, 1, 9]], process=False))
+
+
+@pytest.mark.parametrize("power", [-700, 700])
+def test_a_mesh_of_any_size_is_measured(power):
+    tri = ec.sphere("octahedron", 1)
+    one, other = (
+        ec.mesh_quality(trimesh.Trimesh(2.0**n * tri.vertices, tri.faces, process=False))
+        for n in (0, power)
+    )
+    assert other.h_mean == 2.0**power * one.h_mean
+    assert (other.min_angle, other.min_ratio) == (one.min_angle, one.min_ratio)
