@@ -30,6 +30,8 @@ __all__ = [
 # package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
 FLATTEST = 1e-7
 
+FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
+
 
 def check_is_trimesh(name: str, value: object) -> None:
     """Refuse what is not a :class:`trimesh.Trimesh`.
@@ -171,6 +173,14 @@ def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
         return Fault(
             f"triangle {t} has corners {faces[t].tolist()}, but there are {len(vertices)} vertices",
             "remove it",
+        )
+    far = (np.abs(vertices) > FARTHEST).any(axis=1)
+    if far.any():
+        i = int(np.argmax(far))
+        return Fault(
+            f"vertex {i} has coordinates beyond {FARTHEST:g}: {vertices[i].tolist()}",
+            "give lengths in a larger unit",
+            repairable=False,
         )
     unused = np.bincount(faces.ravel(), minlength=len(vertices)) == 0
     if unused.any():

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Bools, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
+    FARTHEST,
     Fault,
     check_is_trimesh,
     fans,
@@ -40,7 +41,6 @@ LID = 200  # edges of the largest hole that a message offers to fill
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 SEPARATION = 1e-3  # how far a vertex that is split moves into its fan, over the fan's size
 FLIPS = 10  # sweeps over flat triangles
-FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
 
 
 def repair(

@@ -177,3 +177,10 @@ ec.check_triangulation(ec.repair(ec.read_mesh(trimesh.Scene([tri]))))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "tri = ec.repair(tri) helps" in done.stdout
+
+
+def test_vertices_too_far_away_for_areas_are_named_without_advice_that_fails():
+    with pytest.raises(
+        ValueError, match=r"vertex 0 has coordinates beyond 1e\+75: \[.* a larger unit"
+    ):
+        ec.check_triangulation(mesh(1e200 * SPHERE.vertices, SPHERE.faces))
