@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from esfem_core.checks import Array, Bools, Ints, shown
 from esfem_core.surfaces.orientation import (
     Sides,
+    coincident,
     open_components,
     shells,
     sides_of,
@@ -317,6 +318,13 @@ def _of_shells(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
         return Fault(
             f"{what}, with triangle {t}, encloses no volume",
             "a sheet of triangles is no surface of a body: give it a thickness",
+        )
+    if pair := coincident(vertices, faces[closed], found.label):
+        one, other = (closed[np.argmax(found.label == c)] for c in pair)
+        return Fault(
+            f"{kind}s {pair[0]} and {pair[1]} of {count}, with triangles {one} and {other}, lie at "
+            "the same place",
+            "remove one of them",
         )
     wrong = found.wrong()
     if not wrong.any():

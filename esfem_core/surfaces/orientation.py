@@ -15,6 +15,7 @@ from esfem_core.checks import Array, Bools, Ints
 __all__ = [
     "Shells",
     "Sides",
+    "coincident",
     "components",
     "open_components",
     "shells",
@@ -189,6 +190,31 @@ def shells(vertices: Array, faces: Ints) -> Shells:
     low, high = _boxes(vertices, faces, label, len(first))
     flat = np.abs(volume) <= FLAT * area * np.linalg.norm(high - low, axis=1)
     return Shells(label, volume, _depths(vertices, faces, label, low, high), flat)
+
+
+def coincident(vertices: Array, faces: Ints, label: Ints) -> tuple[int, int] | None:
+    """The first two components whose corners are at the same places, or None.
+
+    Neither lies in the other, and what their nesting says is chance.
+
+    Examples
+    --------
+    >>> faces = np.array([[0, 1, 2], [3, 4, 5]])
+    >>> coincident(np.vstack([np.eye(3), np.eye(3)]), faces, components(faces))
+    (0, 1)
+    """
+    count = int(label.max()) + 1
+    if count == 1:
+        return None
+    boxes = np.hstack(_boxes(vertices, faces, label, count))
+    _, box, times = np.unique(boxes, axis=0, return_inverse=True, return_counts=True)
+    places: dict[bytes, int] = {}
+    for c in np.flatnonzero(times[box.ravel()] > 1).tolist():
+        place = np.unique(vertices[faces[label == c].ravel()] + 0.0, axis=0).tobytes()  # 0 of -0
+        if place in places:
+            return places[place], c
+        places[place] = c
+    return None
 
 
 def turned_to_outside(vertices: Array, faces: Ints) -> Bools:

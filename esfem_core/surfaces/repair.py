@@ -106,16 +106,11 @@ def repair(
         function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
     check_coordinates("tri", vertices, faces)
-    once = _without_copies(vertices, faces)
-    copies = len(faces) - len(once)
-    if copies == 0 and fault(vertices, faces) is None:
+    if fault(vertices, faces) is None:
         if report is not None:
             report("nothing to repair")
         return tri.copy()
-    faces = once
     result = repaired(vertices, faces, holes)
-    if copies:
-        result.steps.insert(0, f"dropped {counted(copies, 'triangle')} at the places of others")
     if report is not None:
         for step in result.steps:
             report(step)
@@ -127,21 +122,6 @@ def repair(
     made = trimesh.Trimesh(result.vertices, result.faces, process=False, metadata=tri.metadata)
     made.units = tri.units
     return made
-
-
-def _without_copies(vertices: Array, faces: Ints) -> Ints:
-    """Triangles without those that lie where another one does, corner on corner, alike oriented.
-
-    Vertices of a surface that is closed are not merged, so that two copies of it would stay, each
-    of them a cavity of the other.
-    """
-    known = np.flatnonzero(((faces >= 0) & (faces < len(vertices))).all(axis=1))
-    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].ravel()[faces[known]]
-    first = places.argmin(axis=1)  # the corner to begin with
-    turned = np.take_along_axis(places, (first[:, None] + np.arange(3)) % 3, axis=1)
-    again = np.ones(len(known), dtype=bool)
-    again[np.unique(turned, axis=0, return_index=True)[1]] = False
-    return np.delete(faces, known[again], axis=0)
 
 
 def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
@@ -176,6 +156,7 @@ class Repaired(NamedTuple):
 def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
     """What :func:`repair` does, on arrays; faults may be left."""
     steps: list[str] = []
+    faces = _without_copies(vertices, faces, steps)
     known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
     infinite = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     fit = known & ~np.isin(faces, infinite).any(axis=1)
@@ -256,6 +237,23 @@ def without_unused(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Arra
         lost = len(vertices) - len(used)
         steps.append(f"dropped {counted(lost, 'vertex', 'vertices')} without triangles")
     return vertices[used], renumbered.reshape(faces.shape)
+
+
+def _without_copies(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
+    """Triangles without those that lie where another one does, corner on corner, alike oriented.
+
+    Vertices of a surface that is closed are not merged, so that two copies of it would stay, each
+    of them a cavity of the other.
+    """
+    known = np.flatnonzero(((faces >= 0) & (faces < len(vertices))).all(axis=1))
+    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].ravel()[faces[known]]
+    first = places.argmin(axis=1)  # the corner to begin with
+    turned = np.take_along_axis(places, (first[:, None] + np.arange(3)) % 3, axis=1)
+    again = np.ones(len(known), dtype=bool)
+    again[np.unique(turned, axis=0, return_index=True)[1]] = False
+    if again.any():
+        steps.append(f"dropped {counted(again.sum(), 'triangle')} at the places of others")
+    return np.delete(faces, known[again], axis=0)
 
 
 def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:

@@ -179,6 +179,31 @@ ec.check_triangulation(ec.repair(ec.read_mesh(trimesh.Scene([tri]))))
     assert "tri = ec.repair(tri) helps" in done.stdout
 
 
+SAID = r"components 0 and 1 of 2, with triangles 0 and 80, lie at the same place; "
+
+
+def test_of_two_copies_alike_oriented_a_repair_keeps_one():
+    two = joined(SPHERE, SPHERE)
+    with pytest.raises(ValueError, match=rf"{SAID}tri = ec\.repair\(tri\) helps \(dropped 80"):
+        ec.check_triangulation(two)
+    with pytest.raises(ValueError, match=f"{SAID}remove one of them"):
+        ec.SurfaceSpace.from_nodes(two.vertices, two.faces)
+
+
+def test_of_two_copies_oriented_against_each_other_a_person_removes_one():
+    two = joined(SPHERE, turned(mesh(SPHERE.vertices[::-1], 41 - SPHERE.faces)))
+    with pytest.raises(ValueError, match=f"{SAID}remove one of them"):
+        ec.check_triangulation(two)
+    with pytest.raises(ValueError, match=f"tri cannot be repaired: {SAID}remove one of them"):
+        ec.repair(two, report=None)
+
+
+def test_two_bodies_in_one_box_are_not_at_the_same_place():
+    """An octahedron in a cube touches the same box, and inside out is a cavity of it."""
+    cube = trimesh.creation.box((2.0, 2.0, 2.0))
+    ec.check_triangulation(joined(cube, turned(ec.sphere("octahedron", 0))))
+
+
 def test_vertices_too_far_away_for_areas_are_named_without_advice_that_fails():
     with pytest.raises(
         ValueError, match=r"vertex 0 has coordinates beyond 1e\+75: \[.* a larger unit"
