@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, function, shown, string
+from esfem_core.checks import Array, Ints, function, real_array, shown, string
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
@@ -120,8 +120,6 @@ def read_mesh(
         string("unit", unit)
     if report is not None:
         function("report", report, "of a line of text, or None")
-    if isinstance(source, trimesh.Scene):
-        _check_units(source)
     found = _elements(source)
     if found.points.shape[1:] != (3,):
         raise ValueError(
@@ -215,7 +213,15 @@ def curved_elements(source: Any) -> Elements:
             f"source must have elements of one degree, but {found.name} holds elements with "
             f"{' and '.join(map(str, numbers))} nodes: write the mesh with elements of one order"
         )
-    nodes, cells = without_unused(found.points, np.vstack(blocks), found.notes)
+    cells = np.vstack(blocks)
+    wrong = (cells < 0) | (cells >= len(found.points))
+    if wrong.any():
+        t = int(np.argmax(wrong.any(axis=1)))
+        raise ValueError(
+            f"source must have elements of its nodes, 0 to {len(found.points) - 1}, but element "
+            f"{t} of {found.name} has node {cells[t][wrong[t]][0]}"
+        )
+    nodes, cells = without_unused(found.points, cells, found.notes)
     if (sides_of(cells[:, :3]).times == 1).any():
         place = merged(nodes, 0)[cells]
         if len(np.unique(place)) < len(nodes):
@@ -294,7 +300,7 @@ def _meshio(path: Path) -> Any:
 def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
     """All instances of all meshes of a scene, in their places."""
     points, cells, notes = [np.zeros((0, 3))], [], []
-    nodes = list(scene.graph.nodes_geometry)
+    nodes, unit = list(scene.graph.nodes_geometry), _unit(scene)
     others: dict[str, int] = {}
     for node in nodes:
         transform, key = scene.graph[node]
@@ -315,8 +321,7 @@ def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
     if others:
         left = ", ".join(f"{count} {kind}" for kind, count in others.items())
         notes.append(f"left out: {left}")
-    units = {part.units for part in scene.geometry.values() if part.units}
-    return Elements(name, np.vstack(points), cells, units.pop() if len(units) == 1 else None, notes)
+    return Elements(name, np.vstack(points), cells, unit, notes)
 
 
 def _of_meshio(name: str, mesh: Any) -> Elements:
@@ -339,7 +344,7 @@ def _of_pyvista(name: str, grid: Any) -> Elements:
 
 def _three(points: Any) -> Array:
     """Points with three coordinates."""
-    array = np.asarray(points, dtype=float)
+    array = real_array("the points of source", points, ("n", "m"))
     return np.pad(array, ((0, 0), (0, 3 - array.shape[1]))) if array.shape[1] < 3 else array
 
 
@@ -350,8 +355,8 @@ def _kind(name: str) -> str:
     return re.sub(r"\d+$", "", plain)
 
 
-def _check_units(scene: trimesh.Scene) -> None:
-    """Refuse parts whose lengths are not in one unit: joined, they would not fit together."""
+def _unit(scene: trimesh.Scene) -> str | None:
+    """The unit of the parts, or None; parts in different ones are refused: they do not fit."""
     parts = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
     units = sorted({p.units for p in parts if isinstance(p, trimesh.Trimesh) and p.units})
     if len(units) > 1:
@@ -360,6 +365,7 @@ def _check_units(scene: trimesh.Scene) -> None:
             f"{' and '.join(units)}: part.convert_units({units[0]!r}) for each part, before the "
             "scene is made of them"
         )
+    return units[0] if units else None
 
 
 def _triangles(found: Elements) -> Ints:

@@ -155,3 +155,24 @@ def test_a_projection_that_spoils_the_triangulation_is_refused():
         ec.SurfaceSpace(ec.torus(), 2, ec.to_unit_sphere)
     with pytest.raises(ValueError, match="project_vertices needs a project"):
         ec.SurfaceSpace(SPHERE, 2, project_vertices=True)
+
+
+@pytest.mark.parametrize("node", [-1, 5000])
+def test_elements_of_a_file_with_nodes_that_are_not_there_are_named(node):
+    space = ec.SurfaceSpace(SPHERE, 2, ec.to_unit_sphere)
+    cells = space.cells.copy()
+    cells[7, 4] = node
+    source = meshio.Mesh(space.nodes, [("triangle6", cells)])
+    with pytest.raises(
+        ValueError, match=rf"nodes, 0 to 161, but element 7 of Mesh has node {node}"
+    ):
+        ec.SurfaceSpace.read(source, report=None)
+
+
+@pytest.mark.parametrize("kind", [complex, str])
+def test_points_of_no_real_numbers_are_refused(kind):
+    source = meshio.Mesh(SPHERE.vertices, [("triangle", np.asarray(SPHERE.faces))])
+    source.points = SPHERE.vertices.astype(kind)
+    for read in (ec.SurfaceSpace.read, ec.read_mesh):
+        with pytest.raises(TypeError, match="the points of source must hold real numbers"):
+            read(source, report=None)

@@ -128,6 +128,8 @@ def test_parts_in_different_units_are_not_joined():
     for unit in ("m", None):
         with pytest.raises(ValueError, match=r"in m and mm: part\.convert_units\('m'\) for each"):
             read(scene, unit=unit)
+    with pytest.raises(ValueError, match="in m and mm"):
+        ec.SurfaceSpace.read(scene, report=None)
     small.convert_units("m")
     tri, _ = read(trimesh.Scene([small, large]))
     assert tri.units == "m"
