@@ -192,6 +192,8 @@ def displaced(
     check_is_trimesh("tri", tri)
     share, seed = number("share", share, least=0, most=0.3), whole_number("seed", seed, 0)
     function("project", project, "of points (n, 3)")
+    if len(tri.faces) == 0:
+        raise ValueError("tri must have triangles, got none")
     x = np.asarray(tri.vertices)
     shift = np.random.default_rng(seed).uniform(-1, 1, x.shape)
     moved = project(x + share * tri.edges_unique_length.min() * shift)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import esfem_core as ec
 from esfem_core.surfaces import bisected_sphere, displaced
@@ -166,3 +167,8 @@ def test_the_diagonals_of_a_torus_do_not_depend_on_the_version_of_trimesh():
     assert (np.bincount(faces.ravel()) == 6).all()
     shifted = (faces.reshape(4, 6, 3)[0] + 3 * np.arange(4)[:, None, None]) % 12
     np.testing.assert_array_equal(shifted, faces.reshape(4, 6, 3))
+
+
+def test_a_mesh_without_triangles_has_none_to_displace():
+    with pytest.raises(ValueError, match="tri must have triangles, got none"):
+        displaced(trimesh.Trimesh(), 0.1, ec.to_unit_sphere)
