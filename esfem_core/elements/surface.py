@@ -114,6 +114,13 @@ class Surface:
         )
         return f"Surface(t={self.t:g}, nodes={len(self.x)}, fields: {names or 'none'})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "fields": dict(self.fields)}  # a read-only view cannot be copied
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        fields = {name: _read_only(values) for name, values in state["fields"].items()}
+        vars(self).update(state, fields=MappingProxyType(fields))
+
     @property
     def M(self) -> csr_array:
         """Mass matrix."""

@@ -72,6 +72,9 @@ class Exact(_Functions):
             function(f"fields[{name!r}]", value, "of points (n, 3) and a time")
         return super().__new__(cls, x, v, u, closest, origin, fields)
 
+    def __getnewargs__(self) -> tuple[Any, ...]:  # for copies; a read-only view cannot be copied
+        return (*self[:-1], dict(self.fields))
+
     @property
     def functions(self) -> dict[str, Callable[[Array, float], Array]]:
         """All of u and `fields` that are given, by name."""
@@ -254,6 +257,12 @@ class Problem:
         object.__setattr__(self, "species", MappingProxyType(dict(species)))
         object.__setattr__(self, "law", law)
         object.__setattr__(self, "exact", exact)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "species": dict(self.species)}  # a read-only view cannot be copied
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, species=MappingProxyType(state["species"]))
 
     @property
     def law_species(self) -> Mapping[str, Species]:

@@ -1,6 +1,8 @@
 """Exact solutions fulfil their equations; problems refuse what makes no sense."""
 
+import copy
 import dataclasses
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -309,3 +311,15 @@ def test_exact_radii_are_refused_at_times_that_are_none(problem, time):
 def test_parameters_of_the_growing_sphere_are_finite(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number"):
         ec.problems.growing_sphere(**{name: np.nan})
+
+
+def test_problems_exact_solutions_and_surfaces_can_be_copied():
+    bat = copy.deepcopy(ec.problems.baseball_bat())
+    assert set(bat.species) == {"u"}
+    with pytest.raises(TypeError):
+        bat.species["v"] = None
+    problem = pickle.loads(pickle.dumps(ec.Problem(1.0)))
+    assert problem.species["u"].initial == 1.0
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    at = pickle.loads(pickle.dumps(ec.Surface(space, space.nodes, space.nodes[:, 0])))
+    assert np.array_equal(at.fields["u"], space.nodes[:, 0])
