@@ -41,6 +41,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Kind = TypeVar("Kind")
 
+EXACT = 2.0**53  # floats from here on do not tell integers apart
 LARGEST = 2**63 - 1  # integer: beyond, arrays cannot hold it
 
 
@@ -454,9 +455,13 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
         ...
     ValueError: faces must hold integers, but faces[0, 2] is 0.5
     """
+    if type(values) is np.ndarray and values.dtype == np.int64 and _fits(values.shape, shape):
+        return values.copy()
     array = finite_array(name, values, shape)
-    with np.errstate(invalid="ignore"):  # too large for the type: unequal below
-        integers = array.astype(np.int64)
+    large = np.abs(array) >= EXACT
+    if large.any():
+        raise ValueError(f"{name} must hold integers below 2**53, but {_first(name, array, large)}")
+    integers = array.astype(np.int64)
     wrong = integers != array
     if wrong.any():
         raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")

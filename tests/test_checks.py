@@ -88,3 +88,9 @@ def test_arrays_of_integers_of_any_type():
         integer_array("faces", [np.nan], ("n",))
     with pytest.raises(TypeError, match="faces must hold real numbers"):
         integer_array("faces", [True], ("n",))
+
+
+def test_integers_that_a_float_cannot_tell_apart_are_kept_or_refused():
+    with pytest.raises(ValueError, match=r"a must hold integers below 2\*\*53, but a\[0\] is"):
+        integer_array("a", [float(2**53)], ("n",))
+    assert integer_array("a", np.array([2**53 + 1]), ("n",)).tolist() == [2**53 + 1]
