@@ -17,6 +17,7 @@ __all__ = ["ClosestPoints", "closest_points", "probe"]
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
+FAR = 1e7  # sizes of the surface; farther away, rounding of distances hides closest points
 
 
 class Elements(Protocol):
@@ -62,7 +63,7 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     x : (N, 3) array_like of float
         Node positions.
     points : (n, 3) array_like of float
-        Anywhere; n may be 0.
+        Anywhere; n may be 0. From 1e7 sizes of x on, the direction from the origin decides.
 
     Returns
     -------
@@ -87,21 +88,26 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     array([2., 4.])
     """
     x = finite_array("x", x, (len(space.nodes), 3))
-    points = finite_array("points", points, ("n", 3))
-    degree, nodes = space.degree, x[space.cells]
+    given = finite_array("points", points, ("n", 3))
+    largest, size = np.abs(x).max(initial=0), np.abs(given).max(axis=1, initial=0)
+    far = size / FAR > largest
+    _, scale = np.frexp(largest)  # a power of 2: it rounds nothing
+    scaled = np.ldexp(np.where(far[:, None], 0, given), -scale)
+    scaled[far] = FAR * (given[far] / size[far, None])
+    degree, nodes = space.degree, np.ldexp(x, -scale)[space.cells]
     pieces = _divide(degree, nodes)
     per_cell = len(pieces.starts)
 
     def descend(point: Ints, piece: Ints) -> tuple[Ints, Ints, Array, Array]:
         start = pieces.starts[piece % per_cell].reshape(-1, 2)
         point, piece = np.repeat(point, 4), np.repeat(piece, 4)
-        relative = nodes[piece // per_cell] - points[point, None]
+        relative = nodes[piece // per_cell] - scaled[point, None]
         return point, piece, *_minimise(degree, relative, start)
 
-    nearest = np.asarray(cKDTree(pieces.centre).query(points)[1], dtype=np.int64)
-    rows = [descend(np.arange(len(points)), nearest)]
+    nearest = np.asarray(cKDTree(pieces.centre).query(scaled)[1], dtype=np.int64)
+    rows = [descend(np.arange(len(scaled)), nearest)]
     bound = rows[0][3].reshape(-1, 4).min(axis=1)
-    rows += [descend(*pair) for pair in _candidates(pieces, points, bound)]
+    rows += [descend(*pair) for pair in _candidates(pieces, scaled, bound)]
     point, piece, local, distance = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     found = np.einsum("na,nai->ni", tabulate(degree, local).values, nodes[piece // per_cell])
 
@@ -112,7 +118,10 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     same = np.flatnonzero(gap <= 1e-12 * pieces.radius[piece[best]])
     order = same[np.lexsort((distance[same], piece[same] // per_cell, point[same]))]
     chosen = order[np.unique(point[order], return_index=True)[1]]
-    return ClosestPoints(piece[chosen] // per_cell, local[chosen], found[chosen], distance[chosen])
+    closest, distance = np.ldexp(found[chosen], scale), np.ldexp(distance[chosen], scale)
+    with np.errstate(over="ignore"):  # infinite if it is larger than any float
+        distance[far] = np.hypot.reduce(given[far] - closest[far], axis=1)
+    return ClosestPoints(piece[chosen] // per_cell, local[chosen], closest, distance)
 
 
 def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Array:

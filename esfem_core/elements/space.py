@@ -42,6 +42,7 @@ from esfem_core.elements.scatter import NodalSum, SparsePattern, keep_freed_memo
 from esfem_core.solvers import Fronts, dissect, side_by_side
 from esfem_core.surfaces import (
     boundary_advice,
+    check_coordinates,
     check_triangulation,
     curved_elements,
     fault,
@@ -190,9 +191,9 @@ class SurfaceSpace:
         Raises
         ------
         TypeError, ValueError
-            If an array has the wrong shape or type, a node belongs to no element, the corners of
-            the elements are no fit triangulation, or neighbours do not share the nodes on their
-            edge.
+            If an array has the wrong shape or type, a node belongs to no element or has
+            coordinates beyond 1e75, the corners of the elements are no fit triangulation, or
+            neighbours do not share the nodes on their edge.
 
         Examples
         --------
@@ -217,6 +218,7 @@ class SurfaceSpace:
                 f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
                 f"{cells.max()}"
             )
+        check_coordinates("nodes", nodes, cells)
         unused = np.bincount(cells.ravel(), minlength=len(nodes)) == 0
         if unused.any():
             raise ValueError(

@@ -15,7 +15,7 @@ from esfem_core.surfaces.meshing import MeshingError, from_level_set
 from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to_outside
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
-from esfem_core.surfaces.repair import repair
+from esfem_core.surfaces.repair import check_coordinates, repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
@@ -34,6 +34,7 @@ __all__ = [
     "boundary_advice",
     "central_gradient",
     "central_stencil",
+    "check_coordinates",
     "check_triangulation",
     "collapse",
     "curved_elements",

@@ -253,3 +253,22 @@ def test_what_is_not_finite_or_real_is_refused():
         probe(space, x, u * np.nan, points)
     with pytest.raises(TypeError, match="u must hold real numbers"):
         probe(space, x, u + 1j, points)
+
+
+@pytest.mark.parametrize("distance", [1e9, 1e14, 1e75, 1e160, 1e308])
+def test_from_very_far_away_the_tip_is_closest(distance):
+    space = sphere(2)
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    found = closest_points(space, space.nodes, distance * axes)
+    np.testing.assert_allclose(found.points, axes, atol=1e-6)
+    np.testing.assert_allclose(found.distance, distance, rtol=2e-9)
+
+
+@pytest.mark.parametrize("power", [-900, -300, 300, 900])
+def test_a_surface_of_any_size_has_closest_points(power):
+    space, points = sphere(2), points_around(20)
+    one = closest_points(space, space.nodes, points)
+    other = closest_points(space, 2.0**power * space.nodes, 2.0**power * points)
+    np.testing.assert_array_equal(other.cell, one.cell)
+    np.testing.assert_array_equal(other.points, 2.0**power * one.points)
+    np.testing.assert_array_equal(other.distance, 2.0**power * one.distance)
