@@ -15,7 +15,7 @@ from esfem_core.elements.recovery import (
 )
 from esfem_core.elements.scatter import combination, with_data
 from esfem_core.elements.space import SurfaceSpace
-from esfem_core.elements.surface import Surface
+from esfem_core.elements.surface import Surface, check_tensors
 from esfem_core.elements.tangents import TangentPlanes
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "SurfaceSpace",
     "TangentPlanes",
     "TriangleRule",
+    "check_tensors",
     "closest_points",
     "combination",
     "flat_triangles",

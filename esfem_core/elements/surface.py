@@ -19,7 +19,7 @@ from esfem_core.elements.integrals import Metric
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
 
-__all__ = ["Surface"]
+__all__ = ["Surface", "check_tensors"]
 
 SYMMETRY = 1e-10  # largest asymmetry of a tensor, relative to its largest entry
 
@@ -355,14 +355,27 @@ def _weight(
         return number(name, values)
     if tensors and np.ndim(values) == 4:
         tensor = real_array(name, values, (*points, 3, 3))
-        skew = float(np.abs(tensor - np.swapaxes(tensor, 2, 3)).max(initial=0.0))
-        if skew > SYMMETRY * float(np.abs(tensor).max(initial=0.0)):
-            raise ValueError(
-                f"{name} must be symmetric, but entries (i, j) and (j, i) of the "
-                f"tensors differ by up to {skew:.3g}"
-            )
+        check_tensors(name, tensor)
         return tensor.transpose(2, 3, 1, 0)
     return real_array(name, values, points).T
+
+
+def check_tensors(name: str, tensor: Array) -> None:
+    """Refuse tensors, (..., 3, 3), that are not symmetric up to rounding.
+
+    Examples
+    --------
+    >>> check_tensors("D", np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+    Traceback (most recent call last):
+        ...
+    ValueError: D must be symmetric, but entries (i, j) and (j, i) of the tensors differ by up to...
+    """
+    skew = float(np.abs(tensor - np.swapaxes(tensor, -2, -1)).max(initial=0.0))
+    if skew > SYMMETRY * float(np.abs(tensor).max(initial=0.0)):
+        raise ValueError(
+            f"{name} must be symmetric, but entries (i, j) and (j, i) of the tensors differ by up "
+            f"to {skew:.3g}"
+        )
 
 
 def _part(weight: Array | float, c: slice) -> Array | float:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, finite_array, flag, number, shown
-from esfem_core.elements import NotFiniteError, Surface, combination
+from esfem_core.elements import NotFiniteError, Surface, check_tensors, combination
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
 
@@ -214,6 +214,7 @@ class Species:
         if callable(D):
             D = self._coefficient("diffusivity", D, at, [(), (3, 3)])
             if D.ndim == 4:
+                check_tensors("diffusivity", D)  # eigvalsh reads one half only
                 _check_definite(D, at)
         elif np.ndim(D) == 1:
             return [Part(np.equal(D, value), float(value), rate) for value in np.unique(D)]

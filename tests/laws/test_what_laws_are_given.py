@@ -45,6 +45,13 @@ def test_a_tensor_with_one_negative_eigenvalue_on_the_tangent_plane_is_refused(l
         assert len(species.parts(AT, ())) == 1
 
 
+def test_a_tensor_that_is_not_symmetric_is_not_called_indefinite():
+    tensor = np.eye(3) + 4 * np.tri(3, k=-1)
+    species = ec.Species(1.0, diffusivity=lambda at: np.broadcast_to(tensor, (32, 6, 3, 3)))
+    with pytest.raises(ValueError, match=r"diffusivity must be symmetric, but .* up to 4"):
+        species.parts(AT, ())
+
+
 def test_a_node_that_is_fixed_twice_is_named():
     species = ec.Species(1.0, fixed=([5, 2, 5], 1.0))
     with pytest.raises(ValueError, match="must not be repeated, but 5 is"):
