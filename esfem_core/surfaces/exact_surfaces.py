@@ -18,6 +18,9 @@ __all__ = ["Ellipsoid", "ExactSurface", "LevelSet", "Near", "Sphere", "Torus"]
 
 DIFFERENCE = 2e-3  # step of differences of fourth order, relative to the coordinates
 CONVERGED = 1e-8  # error of the ellipsoid's equation before the last Newton step squares it
+MAX_STEPS = 50  # of that method
+DEEP = 0.1  # smallest x_i/p_i of points inside that need no more care
+TINY = 1e-100  # positive, and its square is a number
 
 
 class Near(NamedTuple):
@@ -171,10 +174,6 @@ class Torus(ExactSurface):
 class Ellipsoid(ExactSurface):
     """Ellipsoid around the origin, axes along those of the coordinates.
 
-    Inside, from a depth of about the smallest radius of curvature on, ``min(axes)**2 / max(axes)``,
-    points may be refused although they have a unique closest point: Newton's method, which begins
-    with the point itself, does not arrive at theirs.
-
     Parameters
     ----------
     axes : (float, float, float)
@@ -220,18 +219,35 @@ class Ellipsoid(ExactSurface):
         """
         x = finite_array("x", x, ("...", 3))
         squares = np.asarray(self.axes) ** 2
-        s = np.zeros(x.shape[:-1])
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for _ in range(20):
-                parts = x**2 / squares / (1 + s[..., None] / squares) ** 2
-                q = parts.sum(axis=-1)
-                slope = np.sum(parts / (squares + s[..., None]), axis=-1)
-                s = s + q * (np.sqrt(q) - 1) / slope
-                if not np.any(np.abs(q - 1) > CONVERGED):
-                    break
-        _refuse(x, ~((np.abs(q - 1) <= CONVERGED) & (s > -squares.min())), "ellipsoid")
-        points: Array = x / (1 + s[..., None] / squares)
+        stretch, solved = _stretches(x, squares, 0.0)
+        deep = ~(solved & (stretch > DEEP).all(axis=-1))
+        if deep.any():  # close to -min c_i^2, only the distance from there has all digits
+            stretch[deep], solved[deep] = _stretches(x[deep], squares, float(squares.min()))
+        _refuse(x, ~solved, "ellipsoid")
+        points: Array = x / stretch
         return points
+
+
+def _stretches(x: Array, squares: Array, origin: float) -> tuple[Array, Bools]:
+    """The x_i/p_i of closest points of an ellipsoid, and where they are found.
+
+    With s = t - origin, one solves for t. No term of q is above 1, which bounds the root from
+    below, and from there on Newton's method approaches it, since q^{-1/2} is concave.
+    """
+    rest, least = squares - origin, float(squares.min())
+    bound = (np.sqrt(squares) * np.abs(x) - rest).max(axis=-1)
+    bound = np.maximum(bound, TINY * least) if origin else np.clip(bound, -(1 - DEEP) * least, 0)
+    t = np.maximum(bound, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for _ in range(MAX_STEPS):
+            parts = x**2 / squares / (rest / squares + t[..., None] / squares) ** 2
+            q = parts.sum(axis=-1)
+            slope = np.sum(parts / (rest + t[..., None]), axis=-1)
+            t = np.maximum(t + q * (np.sqrt(q) - 1) / slope, bound)
+            if not np.any(np.abs(q - 1) > CONVERGED):
+                break
+    stretch = rest / squares + t[..., None] / squares
+    return stretch, np.asarray((np.abs(q - 1) <= CONVERGED) & (stretch > 0).all(axis=-1))
 
 
 @dataclass(frozen=True)

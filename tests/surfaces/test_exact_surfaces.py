@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
 
@@ -76,6 +77,31 @@ def test_mean_curvature_in_closed_form():
 def test_what_has_no_closest_point_and_what_is_no_surface_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("axes", [(2, 1, 1), (1, 2, 2), (3, 2, 1), (10, 1, 0.1), (1, 1, 1.0001)])
+def test_inside_an_ellipsoid_no_sample_of_it_is_closer_however_deep_a_point_lies(axes):
+    rng = np.random.default_rng(5)
+    x = rng.uniform(-1, 1, (30, 3)) * axes
+    x[:10] *= 1e-3
+    x[10:20, np.argmin(axes)] *= 1e-9  # to the other side it is hardly farther
+    p = Ellipsoid(axes).closest(x)
+    np.testing.assert_allclose(((p / axes) ** 2).sum(axis=1), 1, rtol=1e-14)
+    samples = rng.normal(size=(20_000, 3))
+    samples *= np.asarray(axes) / np.linalg.norm(samples, axis=1, keepdims=True)
+    nearest = cKDTree(samples).query(x)[0]
+    assert (np.linalg.norm(x - p, axis=1) <= nearest).all()
+
+
+def test_between_the_focal_curve_and_the_surface_points_of_a_plane_have_one_closest():
+    """From a radius of 1.5 on, at the vertex of curvature 2; nearer to the middle there are two."""
+    surface = Ellipsoid((1.0, 2.0, 2.0))
+    found = surface.closest(np.array([[0, 1.51, 0], [0, 1.2, 0.96], [0, 0, -1.9]]))
+    np.testing.assert_allclose(found[0], [0, 2, 0], rtol=1e-14)
+    np.testing.assert_allclose(found[1] / [1, 1.2, 0.96], [0, *2 * [2 / np.hypot(1.2, 0.96)]])
+    np.testing.assert_allclose(found[2], [0, 0, -2], rtol=1e-14)
+    with pytest.raises(ValueError, match="too far from the ellipsoid"):
+        surface.closest(np.array([[0, 1.51, 0], [0, 1.2, 0.8]]))
 
 
 def test_radii_and_axes_may_be_of_any_library():
