@@ -18,6 +18,7 @@ __all__ = [
     "checked_values",
     "descend",
     "project_to_level_set",
+    "with_its_gradient",
 ]
 
 Field = Callable[[Array], Array]
@@ -28,6 +29,8 @@ CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
 FAR = 10  # sizes of the surface from the origin
 SAMPLES = 8  # points at which a given gradient is compared with differences
 ALIKE = 1e-3  # by so much of its size it may differ there; differences are good to 1e-9
+LARGEST = 1e150  # value and slope; their squares must be numbers, and
+SMALLEST = 1e-150  # those of slopes not be zero
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
 
 
@@ -66,16 +69,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
         x = finite_array("points", points, ("n", 3))
         size = float(np.ptp(x, axis=0).max()) if len(x) else 0.0
         slope = checked_gradient(d, gradient, size)
-        comparable = gradient is not None and size > DIFFERENCE * _scale(x)
-        try:
-            y = _closest(d, slope, x)
-        except ValueError:
-            if comparable:
-                _check_is_gradient(d, slope, x, size, length=True)
-            raise
-        if comparable:  # only its direction has been used, and only on the surface
-            _check_is_gradient(d, slope, y, size, length=False)
-        return y
+        return with_its_gradient(d, gradient, size, lambda x: _closest(d, slope, x), x)
 
     return project
 
@@ -111,6 +105,33 @@ def checked_gradient(d: Field, gradient: Field | None, size: float | None = None
     return gradient
 
 
+def with_its_gradient(
+    d: Field, gradient: Field | None, size: float, to_surface: Field, x: Array
+) -> Array:
+    """Points moved to the surface; a given gradient is refused if it is another function's.
+
+    Parameters
+    ----------
+    d, gradient : callable
+        (n, 3) -> (n,) and (n, 3) -> (n, 3) or None.
+    size : float
+        Of the surface, as for `central_gradient`.
+    to_surface : callable
+        (n, 3) -> (n, 3), by this gradient.
+    x : (n, 3) float array
+    """
+    comparable = size > DIFFERENCE * _scale(x)
+    try:
+        y = to_surface(x)
+    except ValueError:
+        if gradient is not None and comparable:
+            _check_is_gradient(d, gradient, x, size, length=True)
+        raise
+    if gradient is not None and comparable:  # only its direction has been used, on the surface
+        _check_is_gradient(d, gradient, y, size, length=False)
+    return y
+
+
 def _check_is_gradient(d: Field, gradient: Field, x: Array, size: float, *, length: bool) -> None:
     """Refuse a gradient of another function: with it, points end beside the closest ones.
 
@@ -126,10 +147,13 @@ def _check_is_gradient(d: Field, gradient: Field, x: Array, size: float, *, leng
     if 2 * off.sum() > len(some):
         i = int(np.argmax(off))
         raise ValueError(
-            f"gradient must be that of d, but at {some[i].tolist()} it is "
-            f"{given[i].round(6).tolist()}, and differences of d give "
-            f"{expected[i].round(6).tolist()}"
+            f"gradient must be that of d, but at {some[i].tolist()} it is {_rounded(given[i])}, "
+            f"and differences of d give {_rounded(expected[i])}"
         )
+
+
+def _rounded(numbers: Array) -> list[float]:
+    return [float(f"{number:.6g}") for number in numbers]
 
 
 def descend(d: Field, gradient: Field, points: Array) -> Array:
@@ -164,10 +188,16 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         value = checked_values(d, x[todo], (), "d")
         g = checked_values(gradient, x[todo], (3,), "gradient")
         square = (g * g).sum(axis=1)
-        if not (square > 0).all():
-            i = todo[np.argmin(square)]
+        if not (square > SMALLEST**2).all():
+            i = int(np.argmin(square))
+            place = x[todo[i]].tolist()
+            if g[i].any():
+                raise ValueError(
+                    f"the gradient of d must be larger than {SMALLEST:g}, but is {g[i].tolist()} "
+                    f"at {place}: multiply d by a large number"
+                )
             raise ValueError(
-                f"the gradient of d must not vanish at the points, but is zero at {x[i].tolist()}"
+                f"the gradient of d must not vanish at the points, but is zero at {place}"
             )
         step = -(value / square)[:, None] * g
         x[todo] += step
@@ -230,16 +260,18 @@ def _scale(x: Array) -> float:
 
 
 def checked_values(given: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
-    """Values of a user's function, refused unless they are finite and of the right shape."""
+    """Values of a user's function, refused unless they are of the right shape and have squares."""
     returned = given(x.copy())
     if name == "d" and getattr(returned, "dtype", None) in (np.float32, np.float16):
         raise ValueError(_in_single_precision(str(returned.dtype)))
     values = real_array(f"values of {name}", returned, (len(x), *shape))
-    bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    bad = ~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         i = int(np.argmax(bad))
+        finite = np.isfinite(values[i]).all()
         raise ValueError(
-            f"values of {name} must be finite, but {name} is {values[i].tolist()} at "
-            f"{x[i].tolist()}"
+            f"values of {name} must be {f'up to {LARGEST:g}' if finite else 'finite'}, but {name} "
+            f"is {values[i].tolist()} at {x[i].tolist()}"
+            f"{': multiply d by a small number' if finite else ''}"
         )
     return values

@@ -17,7 +17,13 @@ from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Ints, finite_array, number
 from esfem_core.surfaces.check import check_triangulation
-from esfem_core.surfaces.level_set import Field, checked_gradient, checked_values, descend
+from esfem_core.surfaces.level_set import (
+    Field,
+    checked_gradient,
+    checked_values,
+    descend,
+    with_its_gradient,
+)
 from esfem_core.surfaces.quality import Quality
 from esfem_core.surfaces.relaxation import (
     MAX_ROUNDS,
@@ -33,6 +39,7 @@ __all__ = ["MeshingError", "from_level_set"]
 
 GRID = 1.14  # spacing of the first grid over h: marching cubes then gives about as many vertices
 MAX_POINTS = 2 * 10**7  # of the grid with half that spacing, which checks the topology
+LARGEST_BOX = 1e35  # the eighth power of a length must be a float, and that of its inverse
 SMOOTH = 0.97  # cosine between normals of a smooth surface at points that are close
 
 
@@ -81,8 +88,10 @@ def from_level_set(
         Without scikit-image (``pip install esfem-core[mesh]``).
     TypeError, ValueError
         If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it; if d
-        is negative outside, or the surface has a crease; if h is too large for the topology or the
-        curvature, or so small that the grid had more than 2e7 points.
+        is negative outside, or the surface has a crease; if h is too large for the box, the
+        topology or the curvature, or so small that the grid had more than 2e7 points; if numbers
+        are so large or small that their powers are none; if `gradient` does not have the direction
+        of that of d on the surface.
     MeshingError
         If after 40 rounds the mesh is not as good as stated.
 
@@ -97,12 +106,15 @@ def from_level_set(
     >>> space = ec.SurfaceSpace(tri, degree=2, project=ec.project_to_level_set(torus))
     """
     low, high = _box(bounds)
-    h = number("h", h, above=0)
-    gradient = checked_gradient(d, gradient, float((high - low).max()))
+    h, size = number("h", h, above=0), float((high - low).max())
+    if h > 2 * size:
+        raise ValueError(f"h must be at most twice the box's longest side, {size:g}, got {h:g}")
+    given, gradient = gradient, checked_gradient(d, gradient, size)
     x, faces = _first_mesh(d, low, high, h, gradient)
     guide = Guide(d, gradient, partial(descend, d, gradient))
+    x = with_its_gradient(d, given, size, guide.project, x)
     try:
-        found = evened(guide.project(x), faces, guide, h)
+        found = evened(x, faces, guide, h)
     except TooCoarseError as error:
         if (place := _crease(error.corners, d, gradient, h)) is None:
             raise
@@ -125,18 +137,25 @@ def _box(bounds: ArrayLike) -> Array:
             "bounds must be the lower and the upper corner of a box, [[x, y, z], [X, Y, Z]], "
             f"got {box.tolist()}"
         )
+    if np.abs(box).max() > LARGEST_BOX or (box[1] - box[0]).min() < 1 / LARGEST_BOX:
+        raise ValueError(
+            f"bounds must be up to {LARGEST_BOX:g}, and {1 / LARGEST_BOX:g} or more apart, got "
+            f"{box.tolist()}; give lengths in another unit"
+        )
     return box
 
 
 def _first_mesh(d: Field, low: Array, high: Array, h: float, gradient: Field) -> tuple[Array, Ints]:
     """Marching cubes; the topology must be the same on a grid of half the spacing."""
-    cells = np.maximum(np.ceil((high - low) / (GRID * h)), 3).astype(int)
-    points = np.prod(2.0 * cells + 1)
+    with np.errstate(over="ignore"):  # more than can be counted are too many, too
+        counts = np.maximum(np.ceil((high - low) / (GRID * h)), 3)
+        points = np.prod(2 * counts + 1)
     if points > MAX_POINTS:
         raise ValueError(
             f"h must be larger for this box: with h = {h:g} the grid is of {points:.2g} points "
             f"(allowed: {MAX_POINTS:.0e}); take a tighter box or a larger h"
         )
+    cells = counts.astype(int)
     axes = [np.linspace(a, b, 2 * n + 1) for a, b, n in zip(low, high, cells, strict=True)]
     spacing = (high - low) / (2 * cells)
     values = _sample(d, axes)
@@ -243,12 +262,19 @@ def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
 
     # About distances, and none very small: vertices keep away from the grid's points.
     steepness = np.sqrt(sum(g * g for g in np.gradient(values, *spacing)))
-    size = np.abs(values) / np.maximum(steepness, 1e-12 * np.abs(values).max())
+    least = max(1e-12 * np.abs(values).max(), np.finfo(float).tiny)
+    size = np.abs(values) / np.maximum(steepness, least)
     distance = np.where(values > 0, 1.0, -1.0) * np.maximum(size, 0.1 * spacing.min())
+    # It computes in single precision: in a unit for which lengths are such numbers. Far from the
+    # surface, where d has no slope, they need not be right.
+    _, unit = np.frexp(spacing.min())
     x, faces, _, _ = marching_cubes(
-        distance, 0.0, spacing=tuple(spacing), gradient_direction="descent"
+        np.ldexp(distance, -unit).clip(-1e30, 1e30),
+        0.0,
+        spacing=tuple(np.ldexp(spacing, -unit)),
+        gradient_direction="descent",
     )
-    return x.astype(float) + low, faces.astype(np.int64)
+    return np.ldexp(x.astype(float), unit) + low, faces.astype(np.int64)
 
 
 def _topology(faces: Ints) -> tuple[int, int]:

@@ -120,6 +120,12 @@ REFUSED = {
         "does not reach the surface",
     ),
     "triple zero": (lambda x: unit_sphere(x) ** 3, np.ones((2, 3)), "vanishes on the surface"),
+    "large": (lambda x: 1e300 * unit_sphere(x), np.ones((2, 3)), r"d must be up to 1e\+150"),
+    "small": (
+        lambda x: 1e-300 * unit_sphere(x),
+        np.ones((2, 3)),
+        "gradient of d must be larger than 1e-150, .* multiply d by a large number",
+    ),
     "shape": (lambda x: x, np.ones((2, 3)), r"values of d must have shape \(2,\), got \(2, 3\)"),
     "one point": (unit_sphere, np.ones(3), r"points must have shape \(n, 3\), got \(3,\)"),
     "infinite point": (

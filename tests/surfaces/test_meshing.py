@@ -138,7 +138,22 @@ REFUSED = {
         (lambda x: unit_sphere(x) ** 3, BOX, 0.2),
         "its gradient vanishes on the surface",
     ),
-    "zero gradient": ((unit_sphere, BOX, 0.2, lambda x: 0 * x), "gradient of d must not vanish"),
+    "zero gradient": ((unit_sphere, BOX, 0.2, lambda x: 0 * x), "gradient must be that of d"),
+    "gradient inwards": ((unit_sphere, BOX, 0.5, lambda x: -x), "gradient must be that of d"),
+    "gradient aside": ((unit_sphere, BOX, 0.5, lambda x: 2 * x + 0.3), "gradient must be that of"),
+    "h smallest": ((unit_sphere, BOX, 5e-324), r"h must be larger for this box: .* inf points"),
+    "h largest": ((unit_sphere, BOX, 1e300), r"h must be at most twice .*, got 1e\+300"),
+    "d large": (
+        (lambda x: 1e300 * unit_sphere(x), BOX, 0.5),
+        r"values of d must be up to 1e\+150, .* small number",
+    ),
+    "d small": (
+        (lambda x: 1e-300 * unit_sphere(x), BOX, 0.5),
+        r"gradient of d must be larger than 1e-150, but is \[.*: multiply d by a large number",
+    ),
+    "d smallest": ((lambda x: 1e-320 * unit_sphere(x), BOX, 0.5), "gradient of d must not vanish"),
+    "box large": ((unit_sphere, 1e80 * np.array(BOX), 1e80), r"bounds must be up to 1e\+35"),
+    "box small": ((unit_sphere, 1e-80 * np.array(BOX), 1e-80), "1e-35 or more apart"),
     "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "the surface has a crease there"),
 }
 
@@ -148,6 +163,14 @@ def test_a_surface_that_is_not_in_the_box_or_not_resolved_is_refused(case):
     arguments, message = REFUSED[case]
     with pytest.raises(ValueError, match=message):
         ec.from_level_set(*arguments)
+
+
+@pytest.mark.parametrize("power", [-100, 100])
+def test_a_surface_of_any_size_has_its_mesh(power):
+    unit = 2.0**power
+    tri = ec.from_level_set(lambda x: unit_sphere(x / unit), unit * np.array(BOX), 0.5 * unit)
+    assert tri.euler_number == 2
+    np.testing.assert_allclose(np.linalg.norm(tri.vertices, axis=1), unit, rtol=1e-13)
 
 
 def test_what_cannot_be_reached_is_said():
