@@ -27,6 +27,7 @@ MAX_STEPS = 50
 ON_SURFACE = 1e-13  # accepted distance from the surface, relative to the coordinates
 CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
 FAR = 10  # sizes of the surface from the origin
+APART = 1e5  # times as far from the origin as most points
 SAMPLES = 8  # points at which a given gradient is compared with differences
 ALIKE = 1e-3  # by so much of its size it may differ there; differences are good to 1e-9
 LARGEST = 1e150  # value and slope; their squares must be numbers, and
@@ -66,7 +67,9 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     checked_gradient(d, gradient)
 
     def project(points: Array) -> Array:
-        x = finite_array("points", points, ("n", 3))
+        return _by_distance(project_alike, finite_array("points", points, ("n", 3)))
+
+    def project_alike(x: Array) -> Array:
         size = float(np.ptp(x, axis=0).max()) if len(x) else 0.0
         slope = checked_gradient(d, gradient, size)
         return with_its_gradient(d, gradient, size, lambda x: _closest(d, slope, x), x)
@@ -181,7 +184,12 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
     >>> p.tolist()
     [[0.0, 0.0, 1.0]]
     """
-    start = finite_array("points", points, ("n", 3))
+    x = finite_array("points", points, ("n", 3))
+    return _by_distance(lambda some: _descend(d, gradient, some), x)
+
+
+def _descend(d: Field, gradient: Field, start: Array) -> Array:
+    """What `descend` does, for points of about one size."""
     x, scale = start.copy(), _scale(start)
     todo = np.arange(len(x))
     for _ in range(MAX_STEPS):
@@ -212,6 +220,23 @@ def descend(d: Field, gradient: Field, points: Array) -> Array:
         f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
         "vanishes on the surface"
     )
+
+
+def _by_distance(function: Field, x: Array) -> Array:
+    """Values (n, 3) of a function of points, those much farther away than most by themselves.
+
+    Steps of differences and accepted errors are relative to the largest coordinate, so that one
+    point far away would spoil the others.
+    """
+    size = np.abs(x).max(axis=1, initial=0)
+    middle = np.partition(size, (len(x) - 1) // 2)[(len(x) - 1) // 2] if len(x) else 0.0
+    far = size > APART * middle
+    if middle == 0 or not far.any():
+        return function(x)
+    y = np.empty_like(x)
+    for part in (~far, far):
+        y[part] = _by_distance(function, x[part])
+    return y
 
 
 def _in_single_precision(found: str) -> str:

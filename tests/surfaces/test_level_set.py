@@ -92,6 +92,23 @@ def test_a_gradient_is_not_compared_across_kinks_or_where_differences_say_nothin
     np.testing.assert_allclose(small(far + np.eye(3)[2:] / 500), far + np.eye(3)[2:] / 1000)
 
 
+@pytest.mark.parametrize("distance", [1e6, 1e9, 1e12])
+def test_a_point_far_away_does_not_spoil_the_others(distance):
+    def d(x):
+        return np.sqrt((x**2 / [4, 1, 1]).sum(axis=1)) - 1
+
+    def gradient(x):
+        return x / [4, 1, 1] / (d(x) + 1)[:, None]
+
+    near = np.array([[1.3, 0.7, 0.1], [0.9, 0.6, 0.0]])
+    some = np.vstack([near[:1], [[distance, 0, 0]], near[1:]])
+    for given in (None, gradient):
+        project = ec.project_to_level_set(d, given)
+        np.testing.assert_array_equal(project(some)[::2], project(near))
+        np.testing.assert_allclose(project(some)[1], [2, 0, 0], atol=1e-12)
+    np.testing.assert_array_equal(descend(d, gradient, some)[::2], descend(d, gradient, near))
+
+
 def test_projection_leaves_the_surface_alone():
     y = descend(two_rings, central_gradient(two_rings), np.array([[1.1, 1.45, 0.1], [0, 0.3, 0.4]]))
     np.testing.assert_allclose(ec.project_to_level_set(two_rings)(y), y, rtol=0, atol=1e-13)
