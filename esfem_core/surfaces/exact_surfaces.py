@@ -12,6 +12,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Bools, finite_array, number
 from esfem_core.surfaces.differences import derivative
+from esfem_core.surfaces.faults import FARTHEST
 from esfem_core.surfaces.level_set import Field, checked_gradient, project_to_level_set
 
 __all__ = ["Ellipsoid", "ExactSurface", "LevelSet", "Near", "Sphere", "Torus"]
@@ -182,7 +183,7 @@ class Ellipsoid(ExactSurface):
     Raises
     ------
     TypeError, ValueError
-        If they are not three positive numbers.
+        If they are not three positive numbers, from 1e-75 to 1e75.
 
     Examples
     --------
@@ -196,6 +197,11 @@ class Ellipsoid(ExactSurface):
         axes = finite_array("axes", self.axes, (3,))
         if not (axes > 0).all():
             raise ValueError(f"axes must be positive, got {axes.tolist()}")
+        if axes.max() > FARTHEST or axes.min() < 1 / FARTHEST:
+            raise ValueError(
+                f"axes must be from {1 / FARTHEST:g} to {FARTHEST:g}, got {axes.tolist()}; give "
+                "lengths in another unit"
+            )
         object.__setattr__(self, "axes", tuple(axes.tolist()))
 
     def near(self, x: Array) -> Near:  # noqa: D102

@@ -18,6 +18,7 @@ from esfem_core.surfaces.orientation import (
 )
 
 __all__ = [
+    "FARTHEST",
     "FLATTEST",
     "Fault",
     "check_is_trimesh",

@@ -63,6 +63,8 @@ def test_mean_curvature_in_closed_form():
         (lambda: Torus(1.0, float("nan")), "r must be a finite number > 0, got nan"),
         (lambda: Ellipsoid((1.0, 2.0)), r"axes must have shape \(3,\), got \(2,\)"),
         (lambda: Ellipsoid((1.0, -2.0, 1.0)), r"axes must be positive, got \[1.0, -2.0, 1.0\]"),
+        (lambda: Ellipsoid((1e200, 1.0, 1.0)), r"axes must be from 1e-75 to 1e\+75, got \[1e\+200"),
+        (lambda: Ellipsoid((1e-200, 1.0, 1.0)), r"axes must be from 1e-75 to 1e\+75, got \[1e-200"),
         (lambda: Sphere().near(np.zeros((2, 3))), r"\[0.0, 0.0, 0.0\] is too far from the sphere"),
         (lambda: Sphere().near(np.array([1e200, 0, 0])), "too far from the sphere"),
         (lambda: Torus().near(np.array([1e200, 0, 0])), "too far from the torus"),
