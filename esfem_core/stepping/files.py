@@ -1,7 +1,9 @@
 """Files that are whole at any moment."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
+from uuid import uuid4
 
 __all__ = ["write_whole"]
 
@@ -10,6 +12,7 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write a file; at any moment, also on a full disk, the old or the new one is there whole.
 
     The bytes go to a hidden file beside it, are forced to the disk, and take its place in one step.
+    Of several processes that write one file at once, the last one's is there.
 
     Parameters
     ----------
@@ -30,14 +33,19 @@ def write_whole(path: Path, data: bytes) -> None:
     ['run.txt']
     """
     path = path.resolve()  # a link stays a link
-    beside = path.with_name(f".{path.name}.part")
+    # A name that no other writer takes, and that is not too long where that of the file is not.
+    # Unlike tempfile, open gives it the permissions of any new file.
+    beside = path.with_name(f".{uuid4().hex}.part")
     try:
-        with beside.open("wb") as file:
+        with beside.open("xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            beside.unlink()
+        if not isinstance(error, OSError):
+            raise
         reason = f"{error.strerror}; the file is as it was: make room, or choose another place"
         raise OSError(error.errno, reason, str(path)) from error

@@ -1,0 +1,112 @@
+"""Files that several writers, interruptions and long names leave whole."""
+
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from esfem_core.stepping import write_whole
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_of_writers_at_once_one_whole_version_is_there(tmp_path):
+    path = tmp_path / "run.npz"
+    versions = [bytes([letter]) * (1 + 10_000 * letter) for letter in range(8)]
+    start = threading.Barrier(len(versions))
+
+    def write(data):
+        start.wait()
+        for _ in range(5):
+            write_whole(path, data)
+            assert path.read_bytes() in versions
+
+    with ThreadPoolExecutor(len(versions)) as pool:
+        list(pool.map(write, versions))
+    assert path.read_bytes() in versions
+    assert names(tmp_path) == ["run.npz"]
+
+
+def test_of_processes_at_once_one_whole_version_is_there(tmp_path):
+    path = tmp_path / "run.npz"
+    write = (
+        "import runpy, sys, pathlib; write = runpy.run_path(sys.argv[1])['write_whole']\n"
+        "for _ in range(50): write(pathlib.Path(sys.argv[2]), sys.argv[3].encode() * 30_000)"
+    )
+    source = sys.modules[write_whole.__module__].__file__
+    writers = [
+        subprocess.Popen([sys.executable, "-c", write, source, path, letter]) for letter in "abcd"
+    ]
+    assert [writer.wait() for writer in writers] == [0, 0, 0, 0]
+    assert path.read_bytes() in [letter * 30_000 for letter in (b"a", b"b", b"c", b"d")]
+    assert names(tmp_path) == ["run.npz"]
+
+
+def test_who_comes_while_another_writes_finds_nothing_of_it(tmp_path, monkeypatch):
+    path, fsync = tmp_path / "run.npz", os.fsync
+
+    def another_comes(file):
+        monkeypatch.setattr(os, "fsync", fsync)
+        write_whole(path, b"the second")
+        assert path.read_bytes() == b"the second"
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", another_comes)
+    write_whole(path, b"the first one")
+    assert path.read_bytes() == b"the first one"
+    assert names(tmp_path) == ["run.npz"]
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt(), OSError(28, "No space left")])
+def test_what_is_unfinished_is_removed(tmp_path, monkeypatch, interruption):
+    path = tmp_path / "run.npz"
+    write_whole(path, b"old")
+
+    def interrupted(file):
+        raise interruption
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(type(interruption)):
+        write_whole(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["run.npz"]
+
+
+def test_a_folder_that_is_gone_is_named(tmp_path):
+    with pytest.raises(OSError, match=r"the file is as it was: .*run\.npz"):
+        write_whole(tmp_path / "gone" / "run.npz", b"")
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"the file is as it was: .*run\.npz"):
+        write_whole(tmp_path / "file" / "run.npz", b"")
+
+
+@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
+def test_permissions_are_those_of_any_new_file(tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        write_whole(tmp_path / "ours", b"")
+        (tmp_path / "any").touch()
+    finally:
+        os.umask(before)
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "any").stat().st_mode
+
+
+def test_a_name_as_long_as_a_name_may_be(tmp_path):
+    path = tmp_path / ("n" * 251 + ".npz")
+    write_whole(path, b"done")
+    assert names(tmp_path) == [path.name]
+
+
+def test_a_link_stays_a_link_also_to_a_file_that_is_not_there_yet(tmp_path):
+    link, target = tmp_path / "link.npz", tmp_path / "target"
+    link.symlink_to(target.name)
+    for data in (b"one", b"two"):
+        write_whole(link, data)
+        assert link.readlink() == Path("target")
+        assert target.read_bytes() == data
