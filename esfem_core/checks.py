@@ -308,6 +308,14 @@ def iterable(name: str, values: object, of: str) -> Iterable[Any]:
 def path_of(name: str, path: object, of: str) -> Path:
     """A path, of something that need not be there.
 
+    Raises
+    ------
+    TypeError
+        If it is no path.
+    ValueError
+        If nothing can be there: it is too long, holds a NUL, or its links lead in a circle; or if
+        one may not look there.
+
     Examples
     --------
     >>> path_of("folder", None, "a folder")
@@ -318,13 +326,20 @@ def path_of(name: str, path: object, of: str) -> Path:
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
     if not isinstance(text, str):
         raise TypeError(f"{name} must be the path of {of}, got {shown(path)}")
-    if "\0" in text:
-        raise ValueError(f"{name} must be the path of {of}, got {text!r}")
+    try:
+        os.stat(text)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # too long, links in a circle, a NUL
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"{name} must be the path of {of}, got {text!r}: {reason}") from None
     return Path(text)
 
 
 def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     """A file to be written, in a directory that exists, so that no run ends with a lost result.
+
+    A link is followed, also to a file that is not there yet, as ``open`` does.
 
     Parameters
     ----------
@@ -343,9 +358,9 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     TypeError
         If it is no path.
     ValueError
-        If it ends otherwise, or is a directory.
-    FileNotFoundError
-        If its directory does not exist.
+        If it ends otherwise, is a directory, or is refused by :func:`path_of`.
+    FileNotFoundError, NotADirectoryError
+        If its directory does not exist, or is a file.
 
     Examples
     --------
@@ -354,21 +369,22 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         ...
     ValueError: path must end with ".npz", got 'run.txt'
     """
-    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
-        raise TypeError(f"{name} must be the path of a file, got {shown(path)}")
-    file = Path(path)
-    if "\0" in str(file):
-        raise ValueError(f"{name} must be the path of a file, got {str(file)!r}")
+    file = path_of(name, path, "a file")
     if file.suffix.lower() not in suffixes:
         allowed = " or ".join(f'"{suffix}"' for suffix in suffixes)
         raise ValueError(f"{name} must end with {allowed}, got {str(file)!r}")
     if file.is_dir():
         raise ValueError(f"{name} must be a file, but {str(file)!r} is a directory")
-    if not file.parent.is_dir():
+    if file.exists() and not file.is_file():
+        raise ValueError(f"{name} must be a file, but {str(file)!r} is a device or a pipe")
+    parent = Path(os.path.realpath(file)).parent if file.is_symlink() else file.parent
+    if not parent.exists():
         raise FileNotFoundError(
-            f"{name} must be in a directory that is there, but the directory {str(file.parent)!r} "
+            f"{name} must be in a directory that is there, but the directory {str(parent)!r} "
             "does not exist; make it first"
         )
+    if not parent.is_dir():
+        raise NotADirectoryError(f"{name} must be in a directory, but {str(parent)!r} is a file")
     return file
 
 

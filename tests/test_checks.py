@@ -1,3 +1,4 @@
+import os
 from decimal import Decimal
 from fractions import Fraction
 from typing import Literal
@@ -5,7 +6,16 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from esfem_core.checks import finite_array, integer_array, number, one_of, real_array, whole_number
+from esfem_core.checks import (
+    finite_array,
+    integer_array,
+    number,
+    one_of,
+    output_path,
+    path_of,
+    real_array,
+    whole_number,
+)
 
 
 @pytest.mark.parametrize(
@@ -94,3 +104,59 @@ def test_integers_that_a_float_cannot_tell_apart_are_kept_or_refused():
     with pytest.raises(ValueError, match=r"a must hold integers below 2\*\*53, but a\[0\] is"):
         integer_array("a", [float(2**53)], ("n",))
     assert integer_array("a", np.array([2**53 + 1]), ("n",)).tolist() == [2**53 + 1]
+
+
+class TestPaths:
+    """Of files to be written: what open() can write, and nothing else."""
+
+    def refused(self, path, error, message):
+        with pytest.raises(error, match=message):
+            output_path("save", path, (".npz",))
+
+    def test_what_can_be_nowhere_is_refused_by_name(self, tmp_path):
+        (tmp_path / "one.npz").symlink_to("two.npz")
+        (tmp_path / "two.npz").symlink_to("one.npz")
+        for path, reason in [
+            ("a\0.npz", r"'a\\x00\.npz': embedded null byte"),
+            ("a" * 300 + ".npz", r"'aaaa.*': File name too long"),
+            (str(tmp_path / ("a" * 300) / "run.npz"), ": File name too long"),
+            (tmp_path / "one.npz", "one.npz': Too many levels of symbolic links"),
+            ("\ud800.npz", r"'\\ud800\.npz': 'utf-8' codec can't encode"),
+        ]:
+            self.refused(path, ValueError, rf"save must be the path of a file, got .*{reason}")
+            with pytest.raises(
+                ValueError, match=rf"folder must be the path of a folder, .*{reason}"
+            ):
+                path_of("folder", path, "a folder")
+
+    @pytest.mark.parametrize("path", [None, 3, b"run.npz", Fraction(1)])
+    def test_what_is_no_path_is_refused_by_name(self, path):
+        self.refused(path, TypeError, "save must be the path of a file, got ")
+
+    def test_a_parent_that_is_no_directory_is_named(self, tmp_path):
+        (tmp_path / "file").touch()
+        self.refused(
+            tmp_path / "file" / "run.npz",
+            NotADirectoryError,
+            "save must be in a directory, but '.*file' is a file",
+        )
+        for deeper in (tmp_path / "none", tmp_path / "none" / "none", tmp_path / "file" / "none"):
+            self.refused(deeper / "run.npz", FileNotFoundError, "the directory '.*none' does not")
+
+    def test_directories_and_pipes_are_no_files(self, tmp_path):
+        (tmp_path / "folder.npz").mkdir()
+        os.mkfifo(tmp_path / "pipe.npz")
+        self.refused(tmp_path / "folder.npz", ValueError, "save must be a file, but .* directory")
+        self.refused(tmp_path / "pipe.npz", ValueError, "save must be a file, but .* a pipe")
+
+    def test_links_are_followed_as_by_open(self, tmp_path):
+        link = tmp_path / "link.npz"
+        link.symlink_to("target")
+        assert output_path("save", link, (".npz",)) == link
+        assert path_of("path", link, "a file") == link
+        link.unlink()
+        link.symlink_to("none/target")
+        self.refused(link, FileNotFoundError, "the directory '.*none' does not exist; make it")
+        link.unlink()
+        link.symlink_to(tmp_path)
+        self.refused(link, ValueError, "save must be a file, but .* is a directory")

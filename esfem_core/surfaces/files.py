@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, function, real_array, shown, string
+from esfem_core.checks import Array, Ints, function, path_of, real_array, shown, string
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
@@ -234,7 +234,7 @@ def curved_elements(source: Any) -> Elements:
 
 def _elements(source: Any) -> Elements:
     if isinstance(source, str | os.PathLike):
-        return _of_file(Path(os.fspath(source)))
+        return _of_file(path_of("source", source, "a file"))
     name = type(source).__name__
     if isinstance(source, trimesh.Trimesh):
         return _of_scene(name, trimesh.Scene([source]))

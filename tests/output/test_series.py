@@ -195,7 +195,7 @@ def test_a_series_goes_on_from_no_other_file(tmp_path, text):
 def test_a_name_that_xml_cannot_hold_is_refused_before_anything_is_written(tmp_path, name):
     with pytest.raises(ValueError, match="the name of a function must be of characters that XML"):
         ec.save_series(tmp_path / "run.pvd", states(1, [name]))
-    if name and "\0" not in name:
+    if name not in ("", "a\0b", "\ud800"):  # these make no path
         with pytest.raises(ValueError, match="the name of path must be of characters that XML"):
             ec.save_series(f"{tmp_path}/{name}.pvd", states(1))
     assert not list(tmp_path.iterdir())

@@ -245,3 +245,10 @@ def test_points_and_lines_beside_a_body_do_no_harm():
 def test_options_are_looked_at_before_a_file_is_read(option):
     with pytest.raises(TypeError, match=f"{next(iter(option))} must be a .*, got 3"):
         ec.read_mesh("none.stl", **option)
+
+
+def test_a_path_where_nothing_can_be_is_named():
+    with pytest.raises(ValueError, match=r"source must be the path of a file, got .*too long"):
+        read("a" * 300 + ".ply")
+    with pytest.raises(TypeError, match="source must be the path of a file"):
+        read(b"mesh.ply")
