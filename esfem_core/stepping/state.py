@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -154,10 +154,12 @@ class State:
         names = ", ".join(self.fields) or "none"
         return f"State(t={self.t:g}, nodes={len(self.x)}, fields: {names})"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle without the read-only views of mappings."""
-        mappings = dict(self.fields), dict(self.products)
-        return _rebuild, (self.t, self.x, self.v, self.space, *mappings, self.method)
+    def __getstate__(self) -> dict[str, object]:
+        """For pickles and copies, which cannot hold read-only views of mappings."""
+        return vars(self) | {"fields": dict(self.fields), "products": dict(self.products)}
+
+    def __setstate__(self, kept: Mapping[str, Any]) -> None:
+        self._keep(**kept)
 
     @property
     def u(self) -> Array:
@@ -189,18 +191,6 @@ def _checked_method(method: object) -> Method:
         whole_number("the order of method", order, 1),
         number("the step of method", step, above=0),
     )
-
-
-def _rebuild(
-    t: float,
-    x: Array,
-    v: Array | None,
-    space: SurfaceSpace | None,
-    fields: Mapping[str, Array],
-    products: Mapping[str, Array],
-    method: Method | None,
-) -> State:
-    return State(t, x, v, space=space, fields=fields, products=products, method=method)
 
 
 def _frozen(values: Array) -> Array:

@@ -1,5 +1,6 @@
 """States: what they hold, that nobody can change it, and what is no state of a space."""
 
+import copy
 import dataclasses
 import pickle
 
@@ -121,6 +122,32 @@ def test_pickles_keep_every_bit_and_are_read_only():
         for (name, ours), (_, theirs) in zip(arrays(again), arrays(state), strict=True):
             np.testing.assert_array_equal(ours, theirs, err_msg=name)
             assert ours is None or not ours.flags.writeable
+
+
+def test_copies_are_states_with_the_same_values():
+    for state in RUN[0], RUN[-1]:
+        flat, deep = copy.copy(state), copy.deepcopy(state)
+        for again in (flat, deep):
+            assert (again.t, again.method) == (state.t, state.method)
+            for (name, ours), (_, theirs) in zip(arrays(again), arrays(state), strict=True):
+                np.testing.assert_array_equal(ours, theirs, err_msg=name)
+                assert ours is None or not ours.flags.writeable
+            with pytest.raises(TypeError, match="does not support item assignment"):
+                again.fields["u"] = X[:, 0]
+        assert (flat.x is state.x, flat.space is state.space) == (True, True)
+        assert not np.shares_memory(deep.x, state.x)
+        assert not np.shares_memory(deep["a"], state["a"])
+        assert deep.space is not state.space
+        np.testing.assert_array_equal(deep.space.nodes, SPACE.nodes)
+
+
+def test_pickles_and_copies_keep_the_class():
+    class Own(ec.State):
+        """A state with something more to tell."""
+
+    own = Own(0.5, X, u=X[:, 0])
+    assert type(copy.deepcopy(own)) is Own
+    assert copy.copy(own).u is own.u
 
 
 def test_measures_come_back_from_another_process_and_are_read_only():
