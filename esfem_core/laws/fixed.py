@@ -37,6 +37,11 @@ class Fixed:
     values: Any
     where: Any = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _values(self.values))
+        if self.where is not None:
+            object.__setattr__(self, "where", _where(self.where))
+
     @classmethod
     def of(cls, given: Any) -> "Fixed":
         """What was given as `fixed`, checked as far as it can be without a space.
@@ -51,15 +56,11 @@ class Fixed:
         if not isinstance(given, tuple):
             if not callable(given) and np.ndim(given) > 0:
                 raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
-            return cls(_values(given))
+            return cls(given)
         if len(given) != 2:
             raise ValueError(f"fixed must be {KINDS}, got {len(given)} things")
         where, values = given
-        if np.asarray(where).dtype != bool:
-            where = integer_array("the nodes of fixed", where, ("B",))
-        where = np.array(where)
-        where.setflags(write=False)
-        return cls(_values(values), where)
+        return cls(values, _where(where))  # None is no node
 
     def nodes(self, name: str, space: SurfaceSpace) -> Ints:
         """Numbers of the nodes, (B,).
@@ -139,7 +140,17 @@ class Fixed:
         return values
 
 
+def _where(given: Any) -> Any:
+    if np.asarray(given).dtype != bool:
+        given = integer_array("the nodes of fixed", given, ("B",))
+    where = np.array(given)
+    where.setflags(write=False)
+    return where
+
+
 def _values(given: Any) -> Any:
+    if isinstance(given, type):
+        raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
     if callable(given):
         return given
     if np.ndim(given) == 0:

@@ -1,15 +1,16 @@
 """How a surface moves: the fields that a law carries, and its formula for the velocity."""
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, mapping, object_of
+from esfem_core.checks import Array, mapping, object_of, shown
 from esfem_core.elements import Surface
+from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.species import Species
 
-__all__ = ["Law", "Solve", "same_species"]
+__all__ = ["Law", "Solve", "check_law", "same_species"]
 
 Solve = Callable[[csr_array, Array], Array]
 
@@ -84,6 +85,29 @@ class Law(Protocol):
     #     position(nodes, t, before) -> (N, 3),
     # and (2.19) and (2.20) are then assembled on them and not on an extrapolated surface: see
     # `Prescribed`.
+
+
+def check_law(law: Any) -> None:
+    """Refuse what is no law.
+
+    Examples
+    --------
+    >>> check_law("rest")
+    Traceback (most recent call last):
+        ...
+    TypeError: law must have a method velocity, as Regularised(), MeanCurvature() and the others in
+    esfem_core.laws have (Law says what it does); got 'rest'
+    """
+    if callable(getattr(law, "velocity", None)):
+        if isinstance(law, type):
+            raise TypeError(f"law must be an object, got {shown(law)}: write {law.__name__}(...)")
+        return
+    fixed = law is Fixed or isinstance(law, Fixed)
+    advice = "; Prescribed(lambda x, t: x) is rest, Fixed is for values of a Species"
+    raise TypeError(
+        "law must have a method velocity, as Regularised(), MeanCurvature() and the others in "
+        f"esfem_core.laws have (Law says what it does); got {shown(law)}{advice if fixed else ''}"
+    )
 
 
 def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, Species]:

@@ -42,7 +42,7 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, number, one_of, shown
 from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
-from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.law import Law, Solve, check_law
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.species import Species
 from esfem_core.laws.values import Once
@@ -165,8 +165,7 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     >>> print(f"{abs(last.u - np.exp(-2 * last.t) * last.x[:, 0]).max():.0e}")
     9e-06
     """
-    if isinstance(law, type) or not callable(getattr(law, "velocity", None)):
-        raise TypeError(f"law must be a law, an object with a method velocity, got {shown(law)}")
+    check_law(law)
     if isinstance(law, _Slipping):
         raise ValueError("law must have no slip yet, but has one: add the two velocities to one")
     if hasattr(law, "position") and not (isinstance(law, Prescribed) and law.motion is None):
@@ -174,6 +173,8 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
             "law must let its nodes go, but it prescribes their positions: Prescribed(velocity=v) "
             "can slip"
         )
+    if isinstance(w, type):
+        raise TypeError(f"w must be a function of a Surface, got {shown(w)}: {w.__name__}() is one")
     if callable(w):
         return _Slipping(law, w)
     if not isinstance(w, str):

@@ -60,10 +60,15 @@ class VolumePreserving(Law):
     law: Regularised | MeanCurvature
 
     def __post_init__(self) -> None:
-        if not isinstance(self.law, Regularised | MeanCurvature):
+        law: object = self.law
+        if not isinstance(law, Regularised | MeanCurvature):
+            advice = ""
+            if isinstance(law, type) and issubclass(law, Regularised | MeanCurvature):
+                advice = f": write {law.__name__}(...)"
+            elif hasattr(law, "w"):
+                advice = "; slip comes last, with_slip(VolumePreserving(law), w)"
             raise TypeError(
-                f"law must be a Regularised or a MeanCurvature, got {shown(self.law)}; slip comes "
-                "last, with_slip(VolumePreserving(law), w)"
+                f"law must be a Regularised or a MeanCurvature, got {shown(law)}{advice}"
             )
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, finite_array, function, mapping, number, shown
-from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial
+from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial, check_law
 
 __all__ = ["Exact", "Problem", "at_points"]
 
@@ -239,10 +239,7 @@ class Problem:
             _refuse(
                 "law is given: write it into the law", g=g, alpha=alpha, beta=beta, motion=motion
             )
-            if isinstance(law, type):
-                raise TypeError(
-                    f"law must be an object, got {shown(law)}: write {law.__name__}(...)"
-                )
+            check_law(law)
         elif motion is not None:
             _refuse(
                 "it belongs to a velocity law, but the motion is prescribed",
@@ -302,10 +299,6 @@ def _function(name: str, value: object) -> None:
 
 
 def _check_names(species: Mapping[str, Species], law: Law) -> None:
-    if not callable(getattr(law, "velocity", None)):
-        raise TypeError(
-            f"law must have a method velocity, see esfem_core.laws.Law; got {shown(law)}"
-        )
     if not isinstance(species, Mapping):
         raise TypeError(f"species must be a mapping from names to Species, got {shown(species)}")
     for name, one in species.items():

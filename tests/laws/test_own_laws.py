@@ -67,10 +67,19 @@ def test_what_a_law_returns_is_checked():
 
 
 def test_what_is_no_law_is_refused():
-    for law in (object(), lambda at: at.normal, 1.0):
-        with pytest.raises(TypeError, match=r"law must have .*velocity, see esfem_core\.laws\.Law"):
-            ec.Problem(law=law)
-    with pytest.raises(
-        TypeError, match=r"law must be an object, got the class Rest: write Rest\(\.\.\.\)"
-    ):
-        ec.Problem(law=Rest)
+    takers = (lambda law: ec.Problem(law=law), lambda law: ec.laws.with_slip(law, "elastic"))
+    for take in takers:
+        for law in (object(), lambda at: at.normal, 1.0):
+            with pytest.raises(
+                TypeError, match=r"law must have a method velocity, as .* esfem_core\.laws .*; got"
+            ):
+                take(law)
+        for law in (ec.laws.Fixed, ec.laws.Fixed(0.0)):
+            with pytest.raises(
+                TypeError, match=r"; Prescribed\(lambda x, t: x\) is rest, Fixed is"
+            ):
+                take(law)
+        with pytest.raises(
+            TypeError, match=r"law must be an object, got the class Rest: write Rest\(\.\.\.\)"
+        ):
+            take(Rest)

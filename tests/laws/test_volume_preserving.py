@@ -92,6 +92,20 @@ def test_one_factorisation_serves_both_parts():
     assert statistics.factorisations == 10
 
 
-def test_refused():
-    with pytest.raises(TypeError, match="law must be a Regularised or a MeanCurvature, got"):
-        ec.laws.VolumePreserving(ec.laws.Dynamic())
+@pytest.mark.parametrize(
+    ("law", "found"),
+    [
+        (ec.laws.Dynamic(), r"Dynamic\(.*\)"),
+        (3, "3"),
+        (ec.laws.Dynamic, "the class Dynamic"),
+        (ec.laws.Regularised, r"the class Regularised: write Regularised\(\.\.\.\)"),
+        (
+            ec.laws.with_slip(ec.laws.Regularised(), "elastic"),
+            r"with_slip.*; slip comes last, with_slip\(VolumePreserving\(law\), w\)",
+        ),
+    ],
+)
+def test_other_laws_are_refused_and_no_advice_is_given_that_does_not_help(law, found):
+    message = f"^law must be a Regularised or a MeanCurvature, got {found}$"
+    with pytest.raises(TypeError, match=message):
+        ec.laws.VolumePreserving(law)

@@ -290,3 +290,16 @@ def test_an_elimination_keeps_the_pattern_and_positive_definiteness():
     assert K.indices is M.indices
     assert abs(K - K.T).max() == 0
     assert np.linalg.eigvalsh(K.toarray()).min() > 0
+
+
+@pytest.mark.parametrize("fixed", [ec.laws.Fixed, (ec.laws.Fixed, 1.0), ([0], ec.laws.Fixed)])
+def test_a_class_is_no_value(fixed):
+    with pytest.raises(TypeError, match=r"fixed must .*, got .*(class Fixed|object)"):
+        ec.Species(1.0, fixed=fixed)
+
+
+def test_what_is_given_as_an_object_is_checked_as_well():
+    with pytest.raises(TypeError, match="fixed must be a finite number, got 'rest'"):
+        ec.laws.Fixed("rest")
+    with pytest.raises(ValueError, match=r"the nodes of fixed must hold integers, but .*\[0\]"):
+        ec.laws.Fixed(1.0, [0.5])
