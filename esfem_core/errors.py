@@ -336,7 +336,7 @@ def time_norms(
     window : (float, float)
         First and last time t_n to count, both included (to 1e-9), starting states excluded.
     measure : callable, optional
-        :func:`compare` or :func:`lifted`.
+        :func:`compare` or :func:`lifted`, or another that returns :class:`Errors`.
 
     Returns
     -------
@@ -345,6 +345,8 @@ def time_norms(
 
     Raises
     ------
+    TypeError
+        If `measure` does not return Errors.
     ValueError
         If no step lies in the window, the times do not increase by one constant step, or as
         `measure` does.
@@ -369,7 +371,8 @@ def time_norms(
         times.append(state.t)
         _check_step(times)
         if state.v is not None and first - 1e-9 <= state.t <= last + 1e-9:
-            errors.append(measure(space, problem, state))
+            found = measure(space, problem, state)
+            errors.append(object_of("what measure returns", found, Errors))
     if not errors:
         raise ValueError(
             f"window must hold a step after the starting states, but none of {len(times)} states "

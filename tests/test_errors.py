@@ -163,6 +163,12 @@ class TestNormsOverARun:
         with pytest.raises(ValueError, match=message):
             self.norms(states)
 
+    @pytest.mark.parametrize("found", [1.0, None, (1.0, 2.0), np.ones(6)])
+    def test_a_measure_returns_errors(self, found):
+        message = "what measure returns must be an Errors, got "
+        with pytest.raises(TypeError, match=message):
+            self.norms(self.RUN, measure=lambda space, problem, state: found)
+
     def test_an_empty_window_is_refused(self):
         with pytest.raises(ValueError, match="window must hold a step after the starting states"):
             self.norms(self.RUN, (0.31, 0.39))
