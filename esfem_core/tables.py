@@ -44,6 +44,11 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
     -------
     Html
 
+    Raises
+    ------
+    ValueError
+        If a row has not one cell for each column.
+
     Examples
     --------
     >>> html_table(["p", "order"], [[1, "0.99"]])
@@ -51,6 +56,11 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
     1 0.99
     """
     heads, lines = list(header), [list(row) for row in rows]
+    for i, line in enumerate(lines):
+        if len(line) != len(heads):
+            raise ValueError(
+                f"rows[{i}] must have {len(heads)} cells, as header has, got {len(line)}"
+            )
     head = "".join(f'<th scope="col">{_html(cell)}</th>' for cell in heads)
     body = "".join("<tr>" + "".join(f"<td>{_html(c)}</td>" for c in r) + "</tr>" for r in lines)
     css = html.escape(f"esfem-table {kind}".strip())

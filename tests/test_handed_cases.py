@@ -95,7 +95,7 @@ def test_html_of_names_and_cells_is_escaped():
     bad = "<script>alert(1)</script>"
     table = ConvergenceTable(bad, np.array([0.1, 0.05]), {bad: np.array([1.0, 0.5])})
     assert bad not in table._repr_html_()
-    text = html_table([bad], [[bad, Html("<b>1</b>", "1")]], f'"><{bad}').text
+    text = html_table([bad, ""], [[bad, Html("<b>1</b>", "1")]], f'"><{bad}').text
     assert bad not in text
     assert "<b>1</b>" in text  # asked for as HTML
     space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
