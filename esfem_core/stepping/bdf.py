@@ -131,10 +131,7 @@ def extrapolate(values: Sequence[Array]) -> Array:
     arrays = [real_array(f"values[{j}]", w, ("...",)) for j, w in enumerate(values)]
     for j, w in enumerate(arrays):
         if w.shape != arrays[0].shape:
-            raise ValueError(
-                f"values must have one shape, but values[{j}] has {w.shape} and values[0] has "
-                f"{arrays[0].shape}"
-            )
+            raise _shapes_differ(arrays, j)
     return extrapolated(arrays)
 
 
@@ -152,14 +149,33 @@ def extrapolated(values: Sequence[Array]) -> Array:
 def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
     """Sum of coefficients[j] values[j], summed in this order.
 
+    Raises
+    ------
+    ValueError
+        If there is not one value for each coefficient, or their shapes differ.
+
     Examples
     --------
     >>> combine(delta(2), [np.array([4.0]), np.array([1.0]), np.array([0.0])])  # 2 t at t = 2
     array([4.])
     """
-    pairs = zip(coefficients, values, strict=True)
-    c, first = next(pairs)
-    total: Array = c * first
-    for c, value in pairs:
-        total += c * value
+    weights, arrays = list(coefficients), list(values)
+    if not len(weights) == len(arrays) > 0:
+        raise ValueError(
+            f"values must hold one array for each of {len(weights)} coefficients, at least one, "
+            f"got {len(arrays)}"
+        )
+    total: Array = weights[0] * arrays[0]
+    shape = np.shape(total)
+    for j in range(1, len(arrays)):
+        if np.shape(arrays[j]) != shape:  # NumPy would repeat the smaller one
+            raise _shapes_differ(arrays, j)
+        total += weights[j] * arrays[j]
     return total
+
+
+def _shapes_differ(arrays: Sequence[Array], j: int) -> ValueError:
+    return ValueError(
+        f"values must have one shape, but values[{j}] has {np.shape(arrays[j])} and values[0] has "
+        f"{np.shape(arrays[0])}"
+    )

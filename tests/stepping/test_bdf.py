@@ -54,3 +54,26 @@ def test_refuses(function, p):
 def test_no_more_values_are_extrapolated_than_there_are_coefficients_for():
     with pytest.raises(ValueError, match="values must be 100 or fewer, got 101"):
         ec.bdf.extrapolate([np.ones(1)] * 101)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "values", "message"),
+    [
+        ([1, 2], [np.ones((3, 3)), np.ones(3)], r"values\[1\] has \(3,\) and .* has \(3, 3\)"),
+        ([1, 2], [np.ones(3), np.ones(1)], r"values\[1\] has \(1,\) and values\[0\] has \(3,\)"),
+        ([1, 2], [np.ones(3), 1.0], r"values\[1\] has \(\) and values\[0\] has \(3,\)"),
+        ([1, 2], [np.ones(3), np.ones((2, 3))], r"values\[1\] has \(2, 3\) and values\[0\]"),
+        ([1, 2], [np.ones(3)], "one array for each of 2 coefficients, at least one, got 1"),
+        ([], [], "one array for each of 0 coefficients, at least one, got 0"),
+    ],
+)
+def test_what_cannot_be_combined_is_refused(coefficients, values, message):
+    with pytest.raises(ValueError, match=message):
+        ec.bdf.combine(coefficients, values)
+
+
+def test_iterators_and_numbers_are_combined():
+    assert ec.bdf.combine(iter([1.0, -1.0]), iter([3.0, 2.0])) == 1.0
+    given = [np.array([1.0]), np.array([2.0])]
+    assert ec.bdf.combine(ec.bdf.delta(1), given) == [-1.0]
+    assert given[0] == [1.0]
