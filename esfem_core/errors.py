@@ -26,6 +26,7 @@ __all__ = [
 
 
 INDEFINITE = 1e-8  # negative squares below this, relative to their terms, are rounding
+LARGEST = 1e75  # the square of what is larger, times an entry of a matrix, may be no float
 
 
 class Errors(NamedTuple):
@@ -84,6 +85,10 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
     matrix = square_matrix("matrix", matrix)
     w = finite_array("w", w, (matrix.shape[1], "..."))
     columns = w.reshape(len(w), -1)
+    largest = np.abs(columns).max(initial=0.0)
+    if largest > LARGEST:  # squares would overflow; a power of two takes nothing from the digits
+        unit = 2.0 ** int(np.frexp(largest)[1] - 1)
+        return unit * seminorm(matrix, w / unit)
     size = float(np.sum(np.abs(columns) * (abs(matrix) @ np.abs(columns))))
     return root_of_form("matrix", columns, matrix @ columns, size)
 

@@ -118,6 +118,14 @@ def test_a_seminorm_wants_a_row_for_each_of_the_matrix():
         ec.errors.seminorm(M, SPACE.nodes.T)
 
 
+@pytest.mark.parametrize("size", [2.0**300, 2.0**1000, 2.0**1023])
+def test_seminorms_of_huge_vectors_are_those_of_small_ones(size):
+    M, A = SPACE.mass_stiffness(SPACE.nodes)
+    w = SPACE.nodes[:, 0] / 8
+    for matrix in (M, A):
+        assert ec.errors.seminorm(matrix, size * w) == size * ec.errors.seminorm(matrix, w)
+
+
 class TestNormsOverARun:
     RUN = tuple(exact_state(t) for t in (0.0, 0.1, 0.2, 0.3))
 

@@ -332,9 +332,6 @@ def space_of(states: Sequence[State]) -> SurfaceSpace:
                 f"states must have the same functions, but states[{i}] has {_listed(state)} and "
                 f"states[0] has {_listed(first)}"
             )
-        for name, product in state.products.items():
-            if name not in shapes or product.shape != shapes[name]:
-                raise ValueError(f"states[{i}].products[{name!r}] belongs to no function")
         if i and not state.t > states[i - 1].t:
             raise ValueError(
                 f"states must be in the order of time, but t = {states[i - 1].t!r} is followed by "

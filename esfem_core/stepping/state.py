@@ -19,6 +19,7 @@ from esfem_core.checks import (
     whole_number,
 )
 from esfem_core.elements import Surface, SurfaceSpace
+from esfem_core.surfaces import FARTHEST
 
 __all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
 
@@ -220,7 +221,8 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         If it is no state.
     ValueError
         If it is a state of another space, an array has not one row for each node of the space, a
-        function more than one index beside that, or something is not finite.
+        function more than one index beside that, a product belongs to no function, something is
+        not finite, or a node beyond 1e75, where areas are no numbers.
 
     Examples
     --------
@@ -238,7 +240,14 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
             f"{name} must be a state of this space, {space!r}, but it is one of {state.space!r}"
         )
     n = len(space.nodes)
-    finite_array(f"{name}.x", state.x, (n, 3))
+    x = finite_array(f"{name}.x", state.x, (n, 3))
+    far = np.abs(x) > FARTHEST
+    if far.any():
+        node = int(far.any(axis=1).argmax())
+        raise ValueError(
+            f"{name}.x must have coordinates up to {FARTHEST:g}, but that of node {node} is "
+            f"{x[node].tolist()}"
+        )
     if state.v is not None:
         finite_array(f"{name}.v", state.v, (n, 3))
     for key, values in state.fields.items():
@@ -246,6 +255,11 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         w = finite_array(called, values, ("N", "..."))
         if w.ndim > 2 or len(w) != n:
             raise ValueError(f"{called} must have shape ({n},) or ({n}, m), got {w.shape}")
+    for key, product in state.products.items():
+        called = f"{name}.products[{key!r}]"
+        if key not in state.fields or product.shape != state.fields[key].shape:
+            raise ValueError(f"{called} belongs to no function")
+        finite_array(called, product, ("N", "..."))
 
 
 def same_space(one: SurfaceSpace, other: SurfaceSpace) -> bool:

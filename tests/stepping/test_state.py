@@ -249,6 +249,26 @@ def test_functions_that_are_not_there_are_named():
             ValueError,
             r"start\[0\]\['w'\] must be finite, but start\[0\]\['w'\]\[0\] is nan",
         ),
+        (
+            ec.State(0.0, 1e160 * X),
+            ValueError,
+            r"start\[0\]\.x must have coordinates up to 1e\+75, but that of node 0 is \[.*1e\+160",
+        ),
+        (
+            ec.State(0.0, X, u=X[:, 0], products={"u": np.full(N, np.inf)}),
+            ValueError,
+            r"start\[0\]\.products\['u'\] must be finite, but .*\[0\] is inf",
+        ),
+        (
+            ec.State(0.0, X, u=X[:, 0], products={"u": X}),
+            ValueError,
+            r"start\[0\]\.products\['u'\] belongs to no function",
+        ),
+        (
+            ec.State(0.0, X, u=X[:, 0], products={"w": X[:, 0]}),
+            ValueError,
+            r"start\[0\]\.products\['w'\] belongs to no function",
+        ),
     ],
 )
 def test_what_is_no_state_of_the_space_is_refused(state, error, message):
