@@ -227,6 +227,7 @@ class SurfaceSpace:
                 "used, numbers = np.unique(cells, return_inverse=True) gives nodes[used] and "
                 "cells = numbers.reshape(cells.shape)"
             )
+        check_coordinates("nodes", nodes, cells)
         corners, faces = np.unique(cells[:, :3], return_inverse=True)
         faces = faces.reshape(-1, 3)
         turned = _turned(nodes[corners], faces, boundary)

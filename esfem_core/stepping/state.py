@@ -19,7 +19,7 @@ from esfem_core.checks import (
     whole_number,
 )
 from esfem_core.elements import Surface, SurfaceSpace
-from esfem_core.surfaces import FARTHEST
+from esfem_core.surfaces import check_coordinates
 
 __all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
 
@@ -241,13 +241,7 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         )
     n = len(space.nodes)
     x = finite_array(f"{name}.x", state.x, (n, 3))
-    far = np.abs(x) > FARTHEST
-    if far.any():
-        node = int(far.any(axis=1).argmax())
-        raise ValueError(
-            f"{name}.x must have coordinates up to {FARTHEST:g}, but that of node {node} is "
-            f"{x[node].tolist()}"
-        )
+    check_coordinates(f"{name}.x", x, space.cells)
     if state.v is not None:
         finite_array(f"{name}.v", state.v, (n, 3))
     for key, values in state.fields.items():

@@ -20,7 +20,6 @@ from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_un
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
 __all__ = [
-    "FARTHEST",
     "FLATTEST",
     "Balls",
     "Edges",

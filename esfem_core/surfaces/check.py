@@ -5,7 +5,7 @@ import trimesh
 
 from esfem_core.checks import Array, Ints, flag
 from esfem_core.surfaces.faults import check_is_trimesh, fault
-from esfem_core.surfaces.repair import remedy
+from esfem_core.surfaces.repair import check_coordinates, remedy
 
 __all__ = ["boundary_advice", "check_triangulation"]
 
@@ -46,7 +46,9 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     """
     check_is_trimesh("tri", tri)
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
-    found = fault(vertices, faces, flag("boundary", boundary))
+    flag("boundary", boundary)
+    check_coordinates("tri", vertices, faces)
+    found = fault(vertices, faces, boundary)
     if found is None:
         return
     if boundary:  # a repair would close it

@@ -252,7 +252,7 @@ def test_functions_that_are_not_there_are_named():
         (
             ec.State(0.0, 1e160 * X),
             ValueError,
-            r"start\[0\]\.x must have coordinates up to 1e\+75, but that of node 0 is \[.*1e\+160",
+            r"start\[0\]\.x must have coordinates up to 1e\+75, but point 0 is \[.*1e\+160",
         ),
         (
             ec.State(0.0, X, u=X[:, 0], products={"u": np.full(N, np.inf)}),

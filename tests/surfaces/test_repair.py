@@ -191,10 +191,27 @@ def test_what_cannot_be_repaired_is_said():
         ec.repair(SPHERE, holes=-1)
 
 
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (ec.check_triangulation, "tri"),
+        (ec.SurfaceSpace, "tri"),
+        (lambda tri: ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces), "nodes"),
+    ],
+)
+def test_spaces_refuse_what_is_too_far_away_as_a_repair_does(make, name):
+    for size in (1e76, 1e160, 1e300):
+        with pytest.raises(
+            ValueError, match=rf"^{name} must have coordinates up to 1e\+75, but po"
+        ):
+            make(mesh(size * SPHERE.vertices, SPHERE.faces))
+    make(mesh(1e75 * SPHERE.vertices, SPHERE.faces))
+
+
 @pytest.mark.parametrize("make", [ec.repair, ec.read_mesh])
 def test_vertices_too_far_away_for_areas_are_refused_and_named(make):
     for size in (1e76, 1e99, 1e110, 1e200, 1e300):
-        with pytest.raises(ValueError, match=r"have coordinates up to 1e\+75, but vertex 0 is \["):
+        with pytest.raises(ValueError, match=r"have coordinates up to 1e\+75, but point 0 is \["):
             make(mesh(size * SPHERE.vertices, SPHERE.faces), report=None)
     assert make(mesh(1e75 * SPHERE.vertices, SPHERE.faces), report=None).is_watertight
     unused = mesh(np.vstack([SPHERE.vertices, [[1e300, 0, 0]]]), SPHERE.faces)
