@@ -114,7 +114,7 @@ def surface_animation(
     for i, s in enumerate(shots):
         if not hasattr(s, "x") or not hasattr(s, "t"):
             raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
-        if values is None and not hasattr(s, "u"):
+        if values is None and not ("u" in s.fields if isinstance(s, State) else hasattr(s, "u")):
             raise TypeError(f"states[{i}] must have u, or values must be given, got {shown(s)}")
         number(f"states[{i}].t", s.t)
     frames = [

@@ -186,7 +186,13 @@ def nodal_values(state: State, values: Values) -> tuple[str, Array | None]:
     if values is None:
         if not state.fields:
             return "", None
-        values = "u" if "u" in state.fields or len(state.fields) > 1 else next(iter(state.fields))
+        if "u" not in state.fields and len(state.fields) > 1:
+            known = ", ".join(map(repr, state.fields))
+            raise ValueError(
+                f"values must name the function to draw, one of {known}: the state has several and "
+                "none is called 'u'"
+            )
+        values = "u" if "u" in state.fields else next(iter(state.fields))
     name, chosen = "", values
     if isinstance(values, str):
         if values not in state.fields:

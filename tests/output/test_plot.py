@@ -115,6 +115,12 @@ def test_plot_refuses_what_it_cannot_draw(ax):
     ]:
         with pytest.raises(error, match=message):
             ec.plot(*arguments, ax=ax)
+    two = ec.State(0.0, given.x, space=given.space, fields={"a": given.u, "b": given.u})
+    for show in (lambda: ec.plot(two, ax=ax), lambda: ec.animate([two])):
+        with pytest.raises(
+            ValueError, match="values must name the function to draw, one of 'a', 'b'"
+        ):
+            show()
     with pytest.raises(ValueError, match=r"limits\[1\] must be a finite number > 1, got 0"):
         ec.plot(given, ax=ax, limits=(1, 0))
     with pytest.raises(TypeError, match="ax must have three dimensions"):

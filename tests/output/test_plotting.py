@@ -101,6 +101,9 @@ def test_animation_refuses_what_it_cannot_draw(run):
         surface_animation(space, states, duration=0)
     with pytest.raises(ValueError, match=r"states\[0\]\.t must be a finite number, got nan"):
         surface_animation(space, [SimpleNamespace(t=np.nan, x=space.nodes, u=space.nodes[:, 0])])
+    other = [ec.State(0.0, space.nodes, fields={"a": np.ones(66), "b": np.ones(66)})]
+    with pytest.raises(TypeError, match=r"states\[0\] must have u, or values .*fields: a, b"):
+        surface_animation(space, other)
     with pytest.raises(TypeError, match=r"states\[0\] must have u, or values must be given"):
         surface_animation(space, [SimpleNamespace(t=0.0, x=space.nodes)])
 
