@@ -119,7 +119,7 @@ def convergence_plot(
             e,
             color=COLOURS[i % len(COLOURS)],
             marker=MARKERS[i % len(MARKERS)],
-            label=f"{label} (order {rate:.2f})",
+            label=f"{label} (order {rate:z.2f})",
         )
     ends = np.array([h.min(), h.max()])
     base = 0.5 * min(float(np.min(e / h**order)) for e in curves.values())

@@ -225,7 +225,7 @@ class ConvergenceTable:
             header += [name, "order"]
             columns += [
                 [_shown(value, ".2e") for value in values],
-                ["", *(_shown(order, ".2f") for order in self.orders(name))][: len(values)],
+                ["", *(_shown(order, "z.2f") for order in self.orders(name))][: len(values)],
             ]
         return header, [list(row) for row in zip(*columns, strict=True)]
 

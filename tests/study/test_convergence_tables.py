@@ -215,3 +215,9 @@ def test_rows_tables_and_names_that_are_none_are_told():
     for ask in (table.select, table.orders, table.__getitem__):
         with pytest.raises(KeyError, match="the table has no error 'y', only 'x'"):
             ask("y")
+
+
+def test_an_order_that_rounds_to_zero_has_no_sign():
+    table = ConvergenceTable.of("h", [0.2, 0.1], [{"area": 1.0}, {"area": 1.001}])
+    assert str(table).split()[-1] == "0.00"
+    assert table.orders("area")[0] < 0
