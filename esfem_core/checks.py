@@ -7,6 +7,7 @@ code behind it relies on. Its message says the name, what is allowed and what wa
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -29,6 +30,7 @@ __all__ = [
     "object_of",
     "one_of",
     "output_path",
+    "package",
     "path_of",
     "real_array",
     "shown",
@@ -386,6 +388,40 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     if not parent.is_dir():
         raise NotADirectoryError(f"{name} must be in a directory, but {str(parent)!r} is a file")
     return file
+
+
+def package(need: str, module: str, extra: str) -> Any:
+    """A module that only some functions need; where it is missing, how it is installed.
+
+    Parameters
+    ----------
+    need : str
+        What needs it, as the message begins.
+    module : str
+    extra : str
+        The extra of this package that installs it.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    ImportError
+
+    Examples
+    --------
+    >>> package("films need Kinema", "kinema", "pictures")
+    Traceback (most recent call last):
+        ...
+    ImportError: films need Kinema: pip install "esfem-core[pictures]"
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ImportError(
+            f'{need}: pip install "esfem-core[{extra}]"', name=module.partition(".")[0]
+        ) from error
 
 
 def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:

@@ -80,6 +80,20 @@ def test_the_core_needs_three_packages_only():
     assert names == {"numpy", "scipy", "trimesh"}
 
 
+def test_the_extras_that_messages_name_are_there_and_listed_for_readers():
+    sources = [path.read_text("utf8") for path in (ROOT / "esfem_core").rglob("*.py")]
+    calls = re.findall(r"\bpackage\([^()]*?\"(\w+)\"\)", " ".join(sources))
+    assert set(calls) >= {"fast", "files", "mesh", "pictures", "symbolic"}
+    assert set(calls) <= set(PROJECT["optional-dependencies"])
+    table = (ROOT / "book/how_to_run.md").read_text("utf8")
+    readme = (ROOT / "README.md").read_text("utf8")
+    for extra in calls:
+        assert f"\n| `{extra}` |" in table
+        assert f"`{extra}`" in readme
+    named = re.findall(r"(.?)esfem-core\[\w+\]", " ".join([*sources, table, readme]))
+    assert set(named) == {'"'}  # some shells take brackets for a pattern
+
+
 def test_every_file_of_the_package_is_installed():
     patterns = SETUPTOOLS["package-data"]["esfem_core"]
     package = ROOT / "esfem_core"

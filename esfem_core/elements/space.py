@@ -263,7 +263,7 @@ class SurfaceSpace:
         Parameters
         ----------
         source : path, meshio.Mesh or PyVista data set
-            Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install esfem-core[files]``);
+            Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install "esfem-core[files]"``);
             elements of one degree, their nodes in the order that meshio gives them. Nodes outside
             of all elements are left out, and where neighbours do not share nodes, those at equal
             places become one.

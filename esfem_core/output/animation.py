@@ -1,7 +1,7 @@
 """Moving surfaces: for notebooks and web pages with a time slider, or as films.
 
-plotly is needed for the former, matplotlib for both (``pip install matplotlib "plotly>=6"``); they
-are imported when a function is called.
+plotly is needed for the former, matplotlib for both (extra ``pictures``); they are imported when a
+function is called.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from esfem_core.output.pictures import (
     known_space,
     nodal_values,
 )
-from esfem_core.output.viewer import LONGEST, Shot, viewer
+from esfem_core.output.plotting import load_matplotlib
+from esfem_core.output.viewer import LONGEST, Shot, load_viewer, viewer
 from esfem_core.stepping import State, write_whole
 from esfem_core.tables import Html
 
@@ -90,6 +91,8 @@ def surface_animation(
     TypeError, ValueError
         If there is no state, nodes or values have the wrong shape or are not finite, or `duration`
         is not an integer from 1 to 60000.
+    ImportError
+        Without matplotlib or plotly.
 
     Examples
     --------
@@ -100,6 +103,7 @@ def surface_animation(
     >>> surface_animation(space, states, title="A growing sphere")
     A growing sphere: 2 frames, t = 0 to 0.5
     """
+    load_viewer()
     object_of("space", space, SurfaceSpace)
     string("title", title)
     string("label", label)
@@ -182,6 +186,8 @@ def animate(
     Growth: 6 frames, t = 0 to 0.5
     """
     file = None if path is None else output_path("path", path, (".html", ".gif", ".mp4"))
+    is_film = file is not None and file.suffix.lower() != ".html"
+    load_matplotlib() if is_film else load_viewer()
     duration = whole_number("duration", duration, 1, LONGEST)
     string("title", title)
     if label is not None:
@@ -194,7 +200,7 @@ def animate(
         Shot(space, s.t, s.x, colours)
         for space, s, (_, colours) in zip(spaces, shots, named, strict=True)
     ]
-    if file is not None and file.suffix.lower() != ".html":
+    if file is not None and is_film:
         return _film(file, frames, title, label, limits, duration)
     name = "esfem-animation" if file is None else re.sub(rf"(?!{IDENTIFIER}).", "-", file.stem)
     page = viewer(frames, title, label, name, duration, limits)

@@ -1,7 +1,7 @@
 """Pictures of a surface with a function on it.
 
-matplotlib is needed (``pip install matplotlib``); it is imported when a function is called,
-so that the solver does not depend on it.
+matplotlib is needed (extra ``pictures``); it is imported when a function is called, so that the
+solver does not depend on it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from esfem_core.checks import Array, finite_array, number, object_of, shown, string
 from esfem_core.elements import SurfaceSpace
 from esfem_core.output.curved import refined
+from esfem_core.output.plotting import load_matplotlib
 from esfem_core.stepping import State, check_state
 
 if TYPE_CHECKING:
@@ -88,6 +89,7 @@ def plot(
     >>> ax.get_title()
     't = 0.5'
     """
+    load_matplotlib()
     space = known_space(state)
     name, colours = nodal_values(state, values)
     label = name if label is None else label

@@ -1,23 +1,23 @@
 """Convergence plots, and how the book's plots look.
 
-matplotlib is needed (``pip install matplotlib``); it is imported when a function is called,
-so that the solver does not depend on it.
+matplotlib is needed (extra ``pictures``); it is imported when a function is called, so that the
+solver does not depend on it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, mapping, number, shown
+from esfem_core.checks import Array, finite_array, mapping, number, package, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["COLOURS", "MARKERS", "convergence_plot", "style"]
+__all__ = ["COLOURS", "MARKERS", "convergence_plot", "load_matplotlib", "style"]
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -25,8 +25,18 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 MAX_TICKS = 6  # on the axis of a convergence plot
 
 
+def load_matplotlib() -> Any:
+    """Matplotlib; where it is missing, how it is installed."""
+    return package("pictures need Matplotlib", "matplotlib", "pictures")
+
+
 def style() -> None:
     """Set up matplotlib for the book: SVG, readable sizes, colours everyone can tell apart.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
 
     Examples
     --------
@@ -35,7 +45,7 @@ def style() -> None:
     >>> matplotlib.rcParams["svg.hashsalt"]
     'esfem'
     """
-    import matplotlib as mpl
+    mpl = load_matplotlib()
     from cycler import cycler
 
     mpl.rcParams.update(

@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, whole_number
+from esfem_core.checks import Array, package, whole_number
 from esfem_core.elements import SurfaceSpace, flat_triangles
 from esfem_core.output.pictures import PLAIN, Cube, colour_range, cube, draw
+from esfem_core.output.plotting import load_matplotlib
 from esfem_core.tables import Html
 
-__all__ = ["Shot", "viewer"]
+__all__ = ["Shot", "load_viewer", "viewer"]
 
 Parts = dict[str, Any]  # of plotly's description of a picture
 Range = tuple[float, float]
@@ -72,6 +73,13 @@ class Shot(NamedTuple):
     t: float
     x: Array
     colours: Array | None
+
+
+def load_viewer() -> None:
+    """Refuse, before anything is computed, if a package is missing that :func:`viewer` needs."""
+    load_matplotlib()
+    if not os.environ.get("ESFEM_PLOTLY_JS"):
+        package("pages with a time slider need Plotly", "plotly", "pictures")
 
 
 def viewer(

@@ -20,7 +20,7 @@ V = dX/dt and X(p, t) = x: with F = DX, of inverse G, the chain rule gives
     \partial_j v_i = V_{i,k} G_{kj}, \qquad
     \partial_j \partial_l v_i = (V_{i,km} - \partial_a v_i\, X_{a,km})\, G_{kj} G_{ml}.
 
-sympy is needed (``pip install esfem-core[symbolic]``); it is imported when a problem is made.
+sympy is needed (``pip install "esfem-core[symbolic]"``); it is imported when a problem is made.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, flag, number, shown
+from esfem_core.checks import Array, flag, number, package, shown
 from esfem_core.elements import Surface
 from esfem_core.laws import Prescribed, Regularised, Species
 from esfem_core.problems.problem import Exact, Problem
@@ -237,7 +237,7 @@ def manufactured(
     Raises
     ------
     ImportError
-        Without sympy (``pip install esfem-core[symbolic]``).
+        Without sympy (``pip install "esfem-core[symbolic]"``).
     ValueError, TypeError
         If an expression has other symbols, cannot be read, or is not smooth, as those with absolute
         values; if d has no zeros or a vanishing gradient there, X(p, 0) is not p, or X(p, t) leaves
@@ -419,10 +419,4 @@ def _no_reals(sympy: Any) -> list[Any]:
 
 
 def _sympy() -> Any:
-    try:
-        import sympy
-    except ImportError:
-        raise ImportError(
-            "manufactured needs sympy: pip install esfem-core[symbolic]", name="sympy"
-        ) from None
-    return sympy
+    return package("manufactured needs sympy", "sympy", "symbolic")

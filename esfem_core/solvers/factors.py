@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from esfem_core.checks import Array, Ints, function, integer_array
+from esfem_core.checks import Array, Ints, function, integer_array, package
 from esfem_core.solvers.systems import check_residual, right_hand_side, square
 
 __all__ = ["DirectSolver", "Factor", "Solver", "cholmod", "superlu"]
@@ -137,13 +137,14 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
     numpy.linalg.LinAlgError
         If `A` is not positive definite.
     """
-    from cholespy import CholeskySolverD, MatrixType
-
+    cholespy = package("CHOLMOD needs cholespy", "cholespy", "fast")
     new_order = _elimination_order(A, order)
     entries = A[new_order][:, new_order].tocoo()
     row, column = entries.row.astype(np.int32), entries.col.astype(np.int32)
     try:
-        solver = CholeskySolverD(A.shape[0], row, column, entries.data, MatrixType.COO)
+        solver = cholespy.CholeskySolverD(
+            A.shape[0], row, column, entries.data, cholespy.MatrixType.COO
+        )
     except (RuntimeError, ValueError) as error:
         raise np.linalg.LinAlgError(
             "the matrix of a linear system must be positive definite, but for CHOLMOD it is not, "

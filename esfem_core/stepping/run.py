@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
-from importlib.util import find_spec
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,6 +16,7 @@ from esfem_core.checks import (
     object_of,
     one_of,
     output_path,
+    package,
     shown,
     whole_number,
 )
@@ -422,8 +422,8 @@ def _solver_factory(
             f'solver must be "lagged", "cholmod", "direct" or a function that makes one, got '
             f"{shown(solver)}"
         )
-    if solver == "cholmod" and find_spec("cholespy") is None:
-        raise ImportError('solver="cholmod" needs the package cholespy: the extra "fast"')
+    if solver == "cholmod":
+        package('solver="cholmod" needs cholespy', "cholespy", "fast")
     if solver == "lagged":
         return partial(LaggedSolver, factorise=partial(factorise, fronts=space.fronts))
     order = space.elimination_order

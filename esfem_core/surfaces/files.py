@@ -16,7 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, function, path_of, real_array, shown, string
+from esfem_core.checks import (
+    Array,
+    Ints,
+    function,
+    package,
+    path_of,
+    real_array,
+    shown,
+    string,
+)
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
@@ -85,7 +94,7 @@ def read_mesh(
     ----------
     source : path, trimesh.Trimesh, trimesh.Scene, meshio.Mesh or PyVista data set
         Files: STL, PLY, OBJ, OFF, GLB and glTF in a plain installation; Gmsh, VTK, VTU, Abaqus,
-        Nastran, Medit, XDMF and what else meshio reads with ``pip install esfem-core[files]``.
+        Nastran, Medit, XDMF and what else meshio reads with ``pip install "esfem-core[files]"``.
     unit : str, optional
         Unit of length of the result, such as "meters" or "millimeters"; that of the file if None.
         Parts of a scene that do not say theirs are taken to have that of the others.
@@ -271,9 +280,9 @@ def _of_file(path: Path) -> Elements:
         if error.name == "meshio":
             raise
         missing = re.search(r"No module named '(\w+)'|pip install (\w+)", str(error))
-        package = next(filter(None, missing.groups()), "") if missing else ""
+        name = next(filter(None, missing.groups()), "") if missing else ""
         raise ImportError(
-            f"files .{kind} need another package: pip install {package or error}", name=package
+            f"files .{kind} need another package: pip install {name or error}", name=name
         ) from error
     except (Exception, SystemExit) as error:  # meshio leaves Python where it cannot read
         reason = " ".join(said.getvalue().split()) or f"{type(error).__name__}: {error}"
@@ -288,13 +297,7 @@ def _of_file(path: Path) -> Elements:
 
 
 def _meshio(path: Path) -> Any:
-    try:
-        import meshio
-    except ImportError as error:
-        raise ImportError(
-            f"files {path.suffix} are read by meshio: pip install esfem-core[files]", name="meshio"
-        ) from error
-    return meshio
+    return package(f"files {path.suffix} are read by meshio", "meshio", "files")
 
 
 def _of_scene(name: str, scene: trimesh.Scene) -> Elements:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from esfem_core.checks import Array, Ints, finite_array, number
+from esfem_core.checks import Array, Ints, finite_array, number, package
 from esfem_core.surfaces.check import check_triangulation
 from esfem_core.surfaces.level_set import (
     Field,
@@ -85,7 +85,7 @@ def from_level_set(
     Raises
     ------
     ImportError
-        Without scikit-image (``pip install esfem-core[mesh]``).
+        Without scikit-image (``pip install "esfem-core[mesh]"``).
     TypeError, ValueError
         If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it; if d
         is negative outside, or the surface has a crease; if h is too large for the box, the
@@ -253,13 +253,7 @@ def _larger_box(d: Field, axes: list[Array]) -> str:
 
 
 def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise ImportError(
-            "from_level_set needs scikit-image: pip install esfem-core[mesh]"
-        ) from error
-
+    measure = package("from_level_set needs scikit-image", "skimage.measure", "mesh")
     # About distances, and none very small: vertices keep away from the grid's points.
     steepness = np.sqrt(sum(g * g for g in np.gradient(values, *spacing)))
     least = max(1e-12 * np.abs(values).max(), np.finfo(float).tiny)
@@ -268,7 +262,7 @@ def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
     # It computes in single precision: in a unit for which lengths are such numbers. Far from the
     # surface, where d has no slope, they need not be right.
     _, unit = np.frexp(spacing.min())
-    x, faces, _, _ = marching_cubes(
+    x, faces, _, _ = measure.marching_cubes(
         np.ldexp(distance, -unit).clip(-1e30, 1e30),
         0.0,
         spacing=tuple(np.ldexp(spacing, -unit)),

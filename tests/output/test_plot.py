@@ -1,6 +1,7 @@
 """Pictures and films of surfaces: what is drawn where, and what is refused."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from mpl_toolkits.mplot3d import art3d
 from PIL import Image
 
 import esfem_core as ec
+from esfem_core.output import style, surface_animation
 from esfem_core.output.curved import refined
 
 
@@ -205,3 +207,31 @@ def test_a_film_that_is_interrupted_leaves_the_older_one(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         ec.animate([state()], tmp_path / "film.gif")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"an older one"]
+
+
+def test_without_matplotlib_or_plotly_the_message_says_what_to_install(tmp_path, monkeypatch):
+    def run():
+        pytest.fail("nothing is computed before")
+        yield
+
+    given, film = state(), tmp_path / "film.gif"
+    shows = {
+        "plot": lambda: ec.plot(given),
+        "page": lambda: ec.animate(run()),
+        "film": lambda: ec.animate(run(), film),
+        "any states": lambda: surface_animation(given.space, run()),
+        "style": style,
+    }
+    monkeypatch.delenv("ESFEM_PLOTLY_JS", raising=False)
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "plotly", None)
+        for name in ("page", "any states"):
+            with pytest.raises(ImportError, match=r'need Plotly: pip install "esfem-core\[pic.*]'):
+                shows[name]()
+        ec.animate([given], film)
+        without.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+        assert "<figure" in ec.animate([given]).text
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for show in shows.values():
+        with pytest.raises(ImportError, match=r'need Matplotlib: pip install "esfem-core\[p.*]'):
+            show()

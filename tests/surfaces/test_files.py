@@ -206,7 +206,7 @@ def test_a_missing_reader_is_named(folder, monkeypatch):
     path = written(folder, "sphere.vtk")
     monkeypatch.setitem(__import__("sys").modules, "meshio", None)
     with pytest.raises(
-        ImportError, match=r"\.vtk are read by meshio: pip install esfem-core\[files\]"
+        ImportError, match=r'\.vtk are read by meshio: pip install "esfem-core\[files\]"$'
     ):
         read(path)
 
