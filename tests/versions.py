@@ -22,8 +22,6 @@ TOOLS = [
     "pytest-xdist",
     "pyyaml",
     "packaging",
-    "matplotlib",
-    "plotly>=6",
     "tqdm",
     "cloudpickle",
 ]
@@ -47,7 +45,8 @@ def main(which: str, arguments: list[str]) -> int:
     folder = ROOT / "_build" / which
     venv.create(folder, clear=True, with_pip=True)
     python = folder / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    optional = [r for name in ("fast", "files", "mesh", "symbolic") for r in extras(project, name)]
+    names = ("fast", "files", "mesh", "pictures", "symbolic")
+    optional = [r for name in names for r in extras(project, name)]
     install = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--upgrade"]
     subprocess.run([*install, *requirements(project, which), *optional, *TOOLS], check=True)
     subprocess.run([*install, "--no-deps", "-e", ROOT], check=True)
