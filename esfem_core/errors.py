@@ -388,7 +388,14 @@ def time_norms(
     tau = (times[-1] - times[0]) / (len(times) - 1)
     # Unlike Python's max, NumPy's does not skip NaN.
     largest = float(np.max([e.u_l2 for e in errors]))
-    return largest, float(np.sqrt(tau * sum(e.u_h1**2 for e in errors)))
+    return largest, float(np.sqrt(tau * sum(_square(e.u_h1) for e in errors)))
+
+
+def _square(value: float) -> float:
+    try:
+        return float(value) ** 2
+    except OverflowError:
+        return np.inf
 
 
 def _check_step(times: list[float]) -> None:

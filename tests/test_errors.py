@@ -171,6 +171,10 @@ class TestNormsOverARun:
         with pytest.raises(ValueError, match=message):
             self.norms(states)
 
+    def test_squares_that_no_float_can_hold_are_infinite(self):
+        huge = ec.errors.Errors(*[1e200] * 6)
+        assert self.norms(self.RUN, measure=lambda *given: huge) == (1e200, np.inf)
+
     @pytest.mark.parametrize("found", [1.0, None, (1.0, 2.0), np.ones(6)])
     def test_a_measure_returns_errors(self, found):
         message = "what measure returns must be an Errors, got "
