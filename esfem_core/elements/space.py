@@ -218,7 +218,6 @@ class SurfaceSpace:
                 f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
                 f"{cells.max()}"
             )
-        check_coordinates("nodes", nodes, cells)
         unused = np.bincount(cells.ravel(), minlength=len(nodes)) == 0
         if unused.any():
             raise ValueError(

@@ -177,14 +177,6 @@ def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
             f"triangle {t} has corners {faces[t].tolist()}, but there are {len(vertices)} vertices",
             "remove it",
         )
-    far = (np.abs(vertices) > FARTHEST).any(axis=1)
-    if far.any():
-        i = int(np.argmax(far))
-        return Fault(
-            f"vertex {i} has coordinates beyond {FARTHEST:g}: {vertices[i].tolist()}",
-            "give lengths in a larger unit",
-            repairable=False,
-        )
     unused = np.bincount(faces.ravel(), minlength=len(vertices)) == 0
     if unused.any():
         return Fault(

@@ -134,14 +134,14 @@ def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
     >>> check_coordinates("tri", 1e80 * np.eye(3), np.array([[0, 1, 2]]))
     Traceback (most recent call last):
         ...
-    ValueError: tri must have coordinates up to 1e+75, but point 0 is [1e+80, 0.0, 0.0]
+    ValueError: tri must have coordinates up to 1e+75, but point 0 is [1e+80, 0.0, 0.0]; give...
     """
     far = (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1)
     used = np.intersect1d(np.flatnonzero(far), faces)
     if len(used):
         raise ValueError(
             f"{name} must have coordinates up to {FARTHEST:g}, but point {used[0]} is "
-            f"{vertices[used[0]].tolist()}"
+            f"{vertices[used[0]].tolist()}; give lengths in a larger unit"
         )
 
 

@@ -180,5 +180,5 @@ def test_points_of_no_real_numbers_are_refused(kind):
 
 def test_nodes_too_far_away_for_areas_are_named():
     space = ec.SurfaceSpace(SPHERE, 2, ec.to_unit_sphere)
-    with pytest.raises(ValueError, match=r"nodes must have coordinates up to 1e\+75, but vertex 0"):
+    with pytest.raises(ValueError, match=r"nodes must have coordinates up to 1e\+75, but point 0"):
         ec.SurfaceSpace.from_nodes(1e200 * space.nodes, space.cells)
