@@ -1,5 +1,6 @@
 """A wrong state is never yielded as good: what is looked at in every step."""
 
+import sys
 import warnings
 from collections.abc import Mapping
 
@@ -46,28 +47,67 @@ class Guard:
         at_boundary = np.isin(self._corners, space.boundary_nodes).any(axis=0)
         self._closed = ~np.isin(np.arange(self._component.max() + 1), self._component[at_boundary])
         self._growth = growth
-        self._size = {name: float(np.abs(w).max()) for name, w in fields.items()}
+        self._largest = {name: float(np.abs(w).max()) for name, w in fields.items()}
         self._warned: set[str] = set()
+        self._x = self._before = x
         self._normal, volume, sides = self._triangles(x)
+        shape = _shapes(self._normal, sides)
+        self._size = shape * sides
         self._inside_out = (volume < 0) & self._closed  # cavities
-        self._narrow = min(NARROW, 0.5 * float(_shapes(self._normal, sides).min()))
+        self._narrow = min(NARROW, 0.5 * float(shape.min()))
+        self._reach = self._safe_distance(shape, sides, volume)
 
     def check_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
 
-        Components with a boundary have no inside.
+        Components with a boundary have no inside. Triangles are looked at again when nodes have
+        moved so far that one of them could have become narrow or turned.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+            Positions after a step; they must stay as they are.
 
         Raises
         ------
         DegenerateElementError
         """
-        normal, volume, sides = self._triangles(x)
-        # One comparison for all; only where it fails, triangle by triangle.
-        bound = (self._narrow / SHAPE) * sides
-        bound *= bound
-        if not (_dot(normal, normal) > bound).all():
-            self._look_closer(x, normal, _shapes(normal, sides))
-        turn = _dot(normal, self._normal)
+        if not np.abs(x - self._x).max() <= self._reach:
+            normal, volume, sides = self._triangles(x)
+            shape = _shapes(normal, sides)
+            size = shape * sides
+            # A normal that is within 60 degrees of the one looked at last, is within a right angle
+            # of the one before this step.
+            upright = _dot(normal, self._normal) > 0.5 / SHAPE**2 * size * self._size
+            if not (upright & (shape > self._narrow)).all():
+                self._look_closer(x, normal, shape)
+            self._check_inside(x, volume)
+            self._x, self._normal, self._size = x, normal, size
+            self._reach = self._safe_distance(shape, sides, volume)
+        self._before = x
+
+    def _safe_distance(self, shape: Array, sides: Array, volume: Array) -> float:
+        """How far each coordinate of each node may change until triangles are looked at again.
+
+        Let nodes move by d <= h / 10, where h is the smallest height and L the longest side of a
+        triangle. Sides change by 2 d at most, and twice the area vector by 4 d L + 4 d^2, less than
+        half of it: the normal turns by less than 30 degrees, and more than a third is left of the
+        shape. The volume of a component changes by less than 1.5 d times its area.
+        """
+        if not shape.min() > 3 * self._narrow:
+            return 0.0
+        # h = |n| / L, and the sum of squared sides is 1.5 L^2 or more.
+        height = (shape * np.sqrt(sides)).min() * np.sqrt(1.5) / SHAPE
+        area = np.bincount(self._component, shape * sides) / (2 * SHAPE)
+        thickness = (abs(volume) / area)[self._closed].min(initial=np.inf)
+        return float(min(height / 10, thickness / 2) / np.sqrt(3))
+
+    def _look_closer(self, x: Array, normal: Array, shape: Array) -> None:
+        """Refuse a degenerate or turned triangle, or a narrow one that turns; warn of another."""
+        before = self._normal if self._before is self._x else self._triangles(self._before)[0]
+        if not (shape > self._narrow).all():
+            self._look_at_narrow(x, normal, shape, before)
+        turn = _dot(normal, before)
         if not turn.min() > 0:
             element = int(np.argmin(turn))
             raise DegenerateElementError(
@@ -75,19 +115,8 @@ class Guard:
                 "changed by more than a right angle within a step",
                 element,
             )
-        inside_out = (volume < 0) & self._closed
-        if (inside_out != self._inside_out).any():
-            component = int(np.argmax(inside_out != self._inside_out))
-            element = int(np.argmax(self._component == component))
-            which = f"component {component} of the surface" if len(volume) > 1 else "the surface"
-            raise DegenerateElementError(
-                f"{which} is inside out (enclosed volume {volume[component]:.3g}), near "
-                f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
-                element,
-            )
-        self._normal = normal
 
-    def _look_closer(self, x: Array, normal: Array, shape: Array) -> None:
+    def _look_at_narrow(self, x: Array, normal: Array, shape: Array, before: Array) -> None:
         """Refuse a degenerate triangle or a narrow one that turns, warn of another narrow one."""
         lowest = int(np.argmin(shape))
         place = f"element {lowest} near {self._place(x, lowest)}"
@@ -97,7 +126,6 @@ class Guard:
             raise DegenerateElementError(f"{place} {what}", lowest)
         # A neck closes within a step, and its triangles come out on the other side of its axis;
         # since they are not opposite each other, some turn by a little less than a right angle.
-        before = self._normal
         sizes = np.sqrt(_dot(normal, normal) * _dot(before, before))
         turned = (_dot(normal, before) < NARROW_TURN * sizes) & (shape < self._narrow)
         if turned.any():
@@ -113,6 +141,19 @@ class Guard:
             "triangles, a smaller step, or alpha > 0 may help",
         )
 
+    def _check_inside(self, x: Array, volume: Array) -> None:
+        """Refuse a component that has become inside out."""
+        inside_out = (volume < 0) & self._closed
+        if (inside_out != self._inside_out).any():
+            component = int(np.argmax(inside_out != self._inside_out))
+            element = int(np.argmax(self._component == component))
+            which = f"component {component} of the surface" if len(volume) > 1 else "the surface"
+            raise DegenerateElementError(
+                f"{which} is inside out (enclosed volume {volume[component]:.3g}), near "
+                f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
+                element,
+            )
+
     def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
         """Refuse functions that are not finite or have grown beyond all bounds.
 
@@ -127,8 +168,8 @@ class Guard:
                 raise FloatingPointError(
                     f"{name} is not finite at node {node} near {_rounded(x[node])}"
                 )
-            start = self._size.get(name) or largest
-            self._size[name] = start
+            start = self._largest.get(name) or largest
+            self._largest[name] = start
             if largest <= min(GROWTH, self._growth) * start:
                 continue
             node = int(np.argmax(np.abs(w).reshape(len(w), -1).max(axis=1)))
@@ -154,9 +195,11 @@ class Guard:
             volume = np.bincount(self._component, _dot(a, normal)) / 6
         else:
             volume = np.array([np.vdot(a, normal) / 6])
-        squares = q * (q - p)
-        squares += p * p
-        return normal, volume, 2 * squares.sum(axis=0)
+        sides = _dot(p, p)
+        sides += _dot(q, q)
+        sides -= _dot(p, q)
+        sides *= 2  # |p - q|^2 is p^2 + q^2 - 2 p.q
+        return normal, volume, sides
 
     def _place(self, x: Array, element: int) -> str:
         return _rounded(x[self._corners[:, element]].mean(axis=0))
@@ -164,7 +207,15 @@ class Guard:
     def _warn_once(self, kind: str, text: str) -> None:
         if kind not in self._warned:
             self._warned.add(kind)
-            warnings.warn(text, EvolutionWarning, stacklevel=5)  # the loop over the run
+            warnings.warn(text, EvolutionWarning, stacklevel=_level_outside())
+
+
+def _level_outside() -> int:
+    """Of the first caller outside of this package, such as the loop over a run."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").startswith("esfem_core."):
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _components(corners: Ints, n_nodes: int) -> Ints:

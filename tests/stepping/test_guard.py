@@ -1,6 +1,7 @@
 """What is never yielded as good: surfaces inside out or degenerate, functions without bounds."""
 
 import re
+import warnings
 from contextlib import nullcontext
 
 import numpy as np
@@ -29,6 +30,13 @@ def two(inner=0.5, shift=0.0, cavity=True):
 
 def guard(space=SPACE, growth=1e12, **fields):
     return Guard(space, space.nodes, fields, growth)
+
+
+def normal_and_shape(corners):
+    """Twice the areas as vectors, and 1 for an equilateral triangle, 0 for a flat one."""
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    squares = sum(((corners[j] - corners[j - 1]) ** 2).sum(axis=1) for j in range(3))
+    return normal, 2 * np.sqrt(3) * np.linalg.norm(normal, axis=1) / squares
 
 
 class TestSurfaces:
@@ -81,6 +89,80 @@ class TestSurfaces:
         for x in turned:
             own.check_surface(x)
 
+    @pytest.mark.parametrize(
+        "path",
+        [
+            pytest.param(lambda s: X * [1, 1, 1 - s], id="pressed flat, and on"),
+            pytest.param(lambda s: X * (1 - s), id="shrunk to a point, and on"),
+            pytest.param(
+                lambda s: X + s * np.eye(N)[:, [7]] * (X[TRI.vertex_neighbors[7][0]] - X[7]),
+                id="a vertex to the next, and on",
+            ),
+        ],
+    )
+    @pytest.mark.parametrize("step", [1 / 7, 1 / 30, 1 / 400, 1 / 2000])
+    def test_what_need_not_be_looked_at_would_have_been_found_good(self, path, step, monkeypatch):
+        """A guard that looks at every step says the same of the same step, in the same words."""
+
+        def said():
+            own, all_said = guard(), []
+            for n in range(1, round(1.5 / step)):
+                with warnings.catch_warnings(record=True) as warned:
+                    warnings.simplefilter("always")
+                    try:
+                        own.check_surface(path(n * step))
+                    except DegenerateElementError as error:
+                        return [*all_said, (n, str(error))]
+                all_said += [(n, str(w.message)) for w in warned]
+            return all_said
+
+        now_and_then = said()
+        monkeypatch.setattr(Guard, "_safe_distance", lambda *_: 0.0)
+        assert now_and_then == said() != []
+
+    def test_no_move_within_the_safe_distance_spoils_a_triangle(self):
+        """Each vertex goes to the opposite side, or out of the plane, and that side against it."""
+        needle = TRI.copy()
+        needle.vertices[7] += 0.96 * (X[TRI.vertex_neighbors[7][0]] - X[7])
+        for tri in (TRI, needle, trimesh.creation.cylinder(0.1, 2)):
+            space = ec.SurfaceSpace(tri)
+            own = guard(space)
+            corners = space.nodes[space.cells].swapaxes(0, 1)
+            normal, shape = normal_and_shape(corners)
+            a, b, c = corners
+            along = (c - b) * ((a - b) * (c - b)).sum(axis=1, keepdims=True)
+            down = b + along / ((c - b) ** 2).sum(axis=1, keepdims=True) - a
+            for way in (
+                down,
+                normal,
+                down + normal / np.sqrt(np.linalg.norm(normal, axis=1))[:, None],
+            ):
+                way = own._reach * way / np.abs(way).max(axis=1, keepdims=True)
+                new_normal, new_shape = normal_and_shape(np.stack([a + way, b - way, c - way]))
+                sizes = np.linalg.norm(normal, axis=1) * np.linalg.norm(new_normal, axis=1)
+                assert ((normal * new_normal).sum(axis=1) > np.cos(np.pi / 6) * sizes).all()
+                assert (new_shape > np.maximum(own._narrow, shape / 3)).all()
+
+    def test_no_move_within_the_safe_distance_turns_a_thin_surface_inside_out(self):
+        tri = ec.sphere("octahedron", 0)
+        thin = trimesh.Trimesh(tri.vertices * [1, 1, 0.01], tri.faces, process=False)
+        own = guard(ec.SurfaceSpace(thin))
+        assert 0 < own._reach < 0.01
+        moved = thin.vertices - own._reach * np.sign(thin.vertices)
+        own._reach = 0.0
+        own.check_surface(moved)
+
+    def test_a_step_is_judged_by_itself_where_the_one_before_was_not_looked_at(self):
+        """A turn by half a degree was not worth a look; by 89.7 degrees more is still allowed."""
+        own = guard()
+        turned = [
+            X @ trimesh.transformations.rotation_matrix(np.deg2rad(a), [0, 0, 1])[:3, :3].T
+            for a in (0.5, 90.2)
+        ]
+        assert np.abs(turned[0] - X).max() < own._reach
+        for x in turned:
+            own.check_surface(x)
+
     def test_degenerate_and_not_finite(self):
         flat = X.copy()
         a, b, c = SPACE.cells[11]
@@ -102,6 +184,20 @@ class TestSurfaces:
             assert 5 in SPACE.cells[e.value.element]
 
 
+@pytest.mark.parametrize(
+    ("motion", "rate"), [(lambda x, t: x * [1, 1, 1 - 0.99 * t], 0.0), (lambda x, t: x, 50.0)]
+)
+def test_warnings_point_to_the_loop_over_the_run(motion, rate):
+    problem = ec.Problem(
+        law=ec.laws.Prescribed(motion=motion),
+        u0=lambda x: np.ones(len(x)),
+        f=lambda at: rate * at.u,
+    )
+    with pytest.warns(ec.EvolutionWarning) as caught:
+        list(ec.evolve(SPACE, problem, 1, 0.01, 1.0 if rate == 0 else 0.5))
+    assert caught[0].filename == __file__
+
+
 class TestSeveralComponents:
     def test_one_of_two_is_inside_out(self):
         space = two(shift=4.0, cavity=False)
@@ -118,7 +214,7 @@ class TestSeveralComponents:
         own, x = guard(space), space.nodes.copy()
         own.check_surface(0.5 * x)
         x[N:] *= 0.01
-        own.check_surface(x)
+        own.check_surface(x.copy())
         x[N:] *= -1
         message = r"component 1 of the surface is inside out \(enclosed volume 5\.\d+e-07\)"
         with pytest.raises(DegenerateElementError, match=message):
