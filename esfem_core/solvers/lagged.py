@@ -108,14 +108,15 @@ class LaggedSolver:
             If the norm of a right-hand side is not finite.
         """
         b = right_hand_side(square(A), b)
-        rows = _rows(b)
+        rows = np.ascontiguousarray(b.reshape(len(b), -1).T)
         with np.errstate(over="ignore"):
             squares = np.vecdot(rows, rows)
         if not np.isfinite(squares).all():
             raise FloatingPointError(
                 "b must be finite, but the right-hand side of a linear system is not finite"
             )
-        x = np.where(squares[:, None] == 0, 0.0, _rows(real_array("guess", guess, b.shape)))
+        x = np.array(real_array("guess", guess, b.shape).reshape(len(b), -1).T, order="C")
+        x[squares == 0] = 0.0
         allowed = tolerance(A, squares, self.rtol)
 
         converged = False
@@ -155,8 +156,3 @@ class LaggedSolver:
             f"LaggedSolver(rtol={self.rtol:g}, price={self.price}, iterations={self.iterations}, "
             f"factorisations={self.factorisations}, factor={self._factor})"
         )
-
-
-def _rows(b: Array) -> Array:
-    """Columns (N,) or (N, m) as contiguous rows (m, N)."""
-    return np.ascontiguousarray(b.reshape(len(b), -1).T)
