@@ -67,8 +67,8 @@ of their fronts, padded nodes I included; slot 0 is that of all padded nodes B (
 >>> fronts = Fronts(tree, cells, csr_array(coupled))
 >>> fronts
 Fronts(nodes=5, levels=2, fronts=3, largest front=4 x 4, entries of a factor per node=4.0)
->>> fronts.slot.tolist(), fronts.size
-([3, 1, 2, 5, 6], 7)
+>>> fronts.slot.tolist(), fronts.node.tolist()
+([3, 1, 2, 5, 6], [5, 1, 2, 0, 5, 3, 4])
 >>> level = fronts.levels[1]
 >>> batch = level.batches[0]
 >>> batch.own, batch.outer.tolist()  # slots of the nodes I, and of the nodes B
@@ -351,6 +351,8 @@ class Fronts:
         Of the pattern.
     slot : (N,) int array
         Place of each node in the padded order, in which all else is numbered.
+    node : (size,) int array
+        The other way round: the node of each slot, N for slots of none.
     size : int
         Number of slots. Slot 0 stands for padded nodes B: zeros are read and written there.
     subtrees : int
@@ -424,6 +426,8 @@ class Fronts:
             )
             self.levels.append(level)
             above = nodes, places
+        self.node = np.full(self.size, n)
+        self.node[self.slot] = np.arange(n)
 
     @property
     def top(self) -> list[Level]:

@@ -228,13 +228,14 @@ class BlockFactor:
         # Whatever its size, a right-hand side is well within the range of single precision.
         size = abs(rows).max(axis=1)
         size[size == 0] = 1.0
-        y = np.zeros((len(rows), self._fronts.size), dtype=self._blocks[0].dtype)
+        y = np.empty((len(rows), self._fronts.size), dtype=self._blocks[0].dtype)
         x = np.empty(rows.shape)
-        slot, worth = self._fronts.slot, rows.size > LARGE
+        node, slot, worth = self._fronts.node, self._fronts.slot, rows.size > LARGE
 
         def put(i: int) -> None:
-            row = y[i]
-            row[slot] = 1 / size[i] * rows[i]
+            row = np.zeros(len(slot) + 1, dtype=y.dtype)  # the last one for slots of no node
+            row[:-1] = 1 / size[i] * rows[i]
+            row.take(node, out=y[i], mode="clip")  # other modes fill a copy first
 
         def take(i: int) -> None:
             np.multiply(y[i].take(slot), size[i] / self._scale, out=x[i])

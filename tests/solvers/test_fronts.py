@@ -75,6 +75,8 @@ def test_every_node_has_a_slot_of_its_own_but_never_slot_zero(space, tree):
     assert len(np.unique(fronts.slot)) == len(space.nodes)
     assert fronts.slot.min() > 0
     assert fronts.slot.max() < fronts.size
+    assert np.array_equal(fronts.node[fronts.slot], np.arange(len(space.nodes)))
+    assert np.count_nonzero(fronts.node == len(space.nodes)) == fronts.size - len(space.nodes)
 
 
 def test_every_entry_comes_in_once_or_as_its_mirror_image(space, tree):
