@@ -55,11 +55,16 @@ class Regularised(Law):
         One (N, N) matrix serves the three components. Solving for v and not for x avoids the
         division of x's rounding errors by tau.
         """
+        K = at.matrix(1.0, self.alpha + self.beta * tau)
+        return solve(K, self._right_hand_side(at, past))
+
+    def _right_hand_side(self, at: Surface, past: Array) -> Array:
+        """Load vector g + beta A past, (N, 3)."""
         b = self.beta * times(at.A, past)
         force = self.load(at)
         if force is not None:
             b += force
-        return solve(at.matrix(1.0, self.alpha + self.beta * tau), b)
+        return b
 
     def load(self, at: Surface) -> Array | None:
         """Load vector of g nu, (N, 3); None if g is zero."""
