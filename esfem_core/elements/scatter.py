@@ -145,7 +145,8 @@ class SparsePattern:
             where = self.pattern.data[piece].astype(np.intp, copy=False)
             sums[i].take(where, out=data[i][piece], mode="clip")  # other modes fill a copy first
 
-        side_by_side(place, product(range(count), pieces(len(self.pattern.data), PIECE)))
+        n = len(self.pattern.data)
+        side_by_side(place, product(range(count), pieces(n, PIECE)), worth=n > LEAST)
         return [with_data(self.pattern, values) for values in data]
 
 
