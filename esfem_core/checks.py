@@ -168,6 +168,8 @@ def number(
 
 def _real(value: object) -> int | float | None:
     """A real number of any library, or None."""
+    if type(value) is float:
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
@@ -535,7 +537,7 @@ def _first(name: str, array: Array, bad: Bools) -> str:
 
 
 def _fits(found: Sequence[int], shape: Sequence[int | str]) -> bool:
-    if found == shape:
+    if found == shape or shape == ("...",):
         return True
     if "..." in shape:
         if len(found) < len(shape) - 1:

@@ -262,11 +262,11 @@ class Surface:
         >>> bool(abs(K - (2 * at.M + 3 * at.A)).max() < 1e-14)
         True
         """
-        mass = real_array("mass", mass, ("...",))
-        stiffness = real_array("stiffness", stiffness, ("...",))
-        if mass.ndim == 0 and stiffness.ndim == 0:
+        if np.isscalar(mass) and np.isscalar(stiffness):
             a, b = number("mass", mass), number("stiffness", stiffness)
             return combination(a, self.M, b, self.A)
+        mass = real_array("mass", mass, ("...",))
+        stiffness = real_array("stiffness", stiffness, ("...",))
         points = self.density.shape
         weight = _weight("mass", mass, points, tensors=False)
         tensor = _weight("stiffness", stiffness, points, tensors=True)

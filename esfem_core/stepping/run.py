@@ -31,6 +31,7 @@ from esfem_core.solvers import (
     cholmod,
     factorise,
     superlu,
+    thread_count,
     using_threads,
 )
 from esfem_core.stepping.agreement import (
@@ -238,14 +239,15 @@ def evolve(
     states = _run(scheme, order, step, n_steps, end, given, guard)
     if file is not None:
         states = saving(states, file, every, order)
-    return states if threads is None else _on_threads(states, threads)
+    return _on_threads(states, threads)
 
 
-def _on_threads(states: Iterator[State], threads: int) -> Iterator[State]:
+def _on_threads(states: Iterator[State], threads: int | None) -> Iterator[State]:
     """The same states; only while one is computed, so many threads share the work."""
     with closing(states):  # type: ignore[type-var]
         while True:
-            with using_threads(threads):
+            # Asked once for a state: the environment is slow to read.
+            with using_threads(thread_count() if threads is None else threads):
                 state = next(states, None)
             if state is None:
                 return
