@@ -1,7 +1,6 @@
 """Sums of element entries into sparse matrices and nodal vectors, with patterns made once."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from itertools import product
 
 import numpy as np
@@ -152,18 +151,20 @@ class SparsePattern:
 
 def with_data(pattern: csr_array, data: Array) -> csr_array:
     """Return a matrix with the pattern of another, without the checks that making one costs."""
-    matrix = copy(pattern)
-    matrix.data = data
+    matrix = object.__new__(type(pattern))  # what copy.copy does, in a tenth of its time
+    vars(matrix).update(vars(pattern), data=data)
     return matrix
 
 
 def combination(a: float, M: csr_array, b: float, A: csr_array) -> csr_array:
     """The matrix a M + b A of two matrices with the same sparsity pattern."""
     data = np.empty_like(M.data)
+    if a == 1:
+        a, M, b, A = b, A, a, M  # a sum of the same two numbers
 
     def combine(piece: slice) -> None:
         np.multiply(a, M.data[piece], out=data[piece])
-        data[piece] += b * A.data[piece]
+        data[piece] += A.data[piece] if b == 1 else b * A.data[piece]
 
     side_by_side(combine, pieces(len(data), PIECE), worth=len(data) > LEAST)
     return with_data(M, data)
