@@ -60,7 +60,8 @@ class Regularised(Law):
 
     def _right_hand_side(self, at: Surface, past: Array) -> Array:
         """Load vector g + beta A past, (N, 3)."""
-        b = self.beta * times(at.A, past)
+        b = times(at.A, past)
+        b *= self.beta
         force = self.load(at)
         if force is not None:
             b += force

@@ -79,7 +79,7 @@ class Guard:
             # A normal that is within 60 degrees of the one looked at last, is within a right angle
             # of the one before this step.
             upright = _dot(normal, self._normal) > 0.5 / SHAPE**2 * size * self._size
-            if not (upright & (shape > self._narrow)).all():
+            if not (upright.all() and shape.min() > self._narrow):
                 self._look_closer(x, normal, shape)
             self._check_inside(x, volume)
             self._x, self._normal, self._size = x, normal, size
@@ -94,11 +94,12 @@ class Guard:
         half of it: the normal turns by less than 30 degrees, and more than a third is left of the
         shape. The volume of a component changes by less than 1.5 d times its area.
         """
-        if not shape.min() > 3 * self._narrow:
+        flattest = float(shape.min())
+        if not flattest > 3 * self._narrow:
             return 0.0
         # h = |n| / L, and the sum of squared sides is 1.5 L^2 or more.
-        height = (shape * np.sqrt(sides)).min() * np.sqrt(1.5) / SHAPE
-        area = np.bincount(self._component, shape * sides) / (2 * SHAPE)
+        height = flattest * np.sqrt(1.5 * sides.min()) / SHAPE
+        area = self._by_component(shape * sides) / (2 * SHAPE)
         thickness = (abs(volume) / area)[self._closed].min(initial=np.inf)
         return float(min(height / 10, thickness / 2) / np.sqrt(3))
 
@@ -191,15 +192,19 @@ class Guard:
             np.multiply(p[j], q[k], out=normal[i])
             normal[i] -= p[k] * q[j]
         a = a - x[0][:, None]  # volumes by differences, so that they are exact far from the origin
-        if self._several:
-            volume = np.bincount(self._component, _dot(a, normal)) / 6
-        else:
-            volume = np.array([np.vdot(a, normal) / 6])
+        volume = self._by_component(_dot(a, normal)) / 6
         sides = _dot(p, p)
         sides += _dot(q, q)
         sides -= _dot(p, q)
         sides *= 2  # |p - q|^2 is p^2 + q^2 - 2 p.q
         return normal, volume, sides
+
+    def _by_component(self, values: Array) -> Array:
+        """Sums over the triangles of each component."""
+        sums: Array = values.sum(keepdims=True)
+        if self._several:
+            sums = np.bincount(self._component, values).astype(float, copy=False)
+        return sums
 
     def _place(self, x: Array, element: int) -> str:
         return _rounded(x[self._corners[:, element]].mean(axis=0))
