@@ -76,7 +76,7 @@ class Fault(NamedTuple):
 def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
-    Looked for in this order: triangles; finite vertices up to 1e75, each in some triangle;
+    Looked for in this order: triangles; finite vertices, each in some triangle;
     triangles with three different corners and an area; every edge in two triangles; neighbours
     oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
