@@ -28,8 +28,9 @@ class LaggedSolver:
     ----------
     rtol : float
         Between 0 and 1. The Euclidean norm of each column's residual is brought below ``rtol``
-        times that of its right-hand side (or to rounding level, whichever is larger), and the sum
-        of its entries to zero: a finite element solution then has its exact integral.
+        times that of its right-hand side (or to rounding level, whichever is larger). Then a
+        constant is added to the column, which makes the sum of its residual zero: a finite element
+        solution has its exact integral.
     price : int
         What a factorisation costs, in iterations, at least 1; no solve takes more. It is made anew
         when the iterations that its age has cost add up to that: the least total cost where they
