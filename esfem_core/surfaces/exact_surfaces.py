@@ -224,36 +224,38 @@ class Ellipsoid(ExactSurface):
         q^{-1/2} = 1, which is linear for a sphere.
         """
         x = finite_array("x", x, ("...", 3))
-        squares = np.asarray(self.axes) ** 2
-        stretch, solved = _stretches(x, squares, 0.0)
-        deep = ~(solved & (stretch > DEEP).all(axis=-1))
+        rows = np.ascontiguousarray(x.reshape(-1, 3).T)  # NumPy is slow on many short rows
+        squares = np.asarray(self.axes)[:, None] ** 2
+        stretch, solved = _stretches(rows, squares, 0.0)
+        deep = ~(solved & (stretch > DEEP).all(axis=0))
         if deep.any():  # close to -min c_i^2, only the distance from there has all digits
-            stretch[deep], solved[deep] = _stretches(x[deep], squares, float(squares.min()))
-        _refuse(x, ~solved, "ellipsoid")
-        points: Array = x / stretch
+            least = float(squares.min())
+            stretch[:, deep], solved[deep] = _stretches(rows[:, deep], squares, least)
+        _refuse(x, ~solved.reshape(x.shape[:-1]), "ellipsoid")
+        points: Array = np.ascontiguousarray((rows / stretch).T).reshape(x.shape)
         return points
 
 
 def _stretches(x: Array, squares: Array, origin: float) -> tuple[Array, Bools]:
-    """The x_i/p_i of closest points of an ellipsoid, and where they are found.
+    """The x_i/p_i of closest points of an ellipsoid, (3, n), and where they are found.
 
     With s = t - origin, one solves for t. No term of q is above 1, which bounds the root from
     below, and from there on Newton's method approaches it, since q^{-1/2} is concave.
     """
     rest, least = squares - origin, float(squares.min())
-    bound = (np.sqrt(squares) * np.abs(x) - rest).max(axis=-1)
+    bound = (np.sqrt(squares) * np.abs(x) - rest).max(axis=0)
     bound = np.maximum(bound, TINY * least) if origin else np.clip(bound, -(1 - DEEP) * least, 0)
     t = np.maximum(bound, 0.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for _ in range(MAX_STEPS):
-            parts = x**2 / squares / (rest / squares + t[..., None] / squares) ** 2
-            q = parts.sum(axis=-1)
-            slope = np.sum(parts / (rest + t[..., None]), axis=-1)
+            parts = x**2 / squares / (rest / squares + t / squares) ** 2
+            q = parts.sum(axis=0)
+            slope = np.sum(parts / (rest + t), axis=0)
             t = np.maximum(t + q * (np.sqrt(q) - 1) / slope, bound)
             if not np.any(np.abs(q - 1) > CONVERGED):
                 break
-    stretch = rest / squares + t[..., None] / squares
-    return stretch, np.asarray((np.abs(q - 1) <= CONVERGED) & (stretch > 0).all(axis=-1))
+    stretch = rest / squares + t / squares
+    return stretch, np.asarray((np.abs(q - 1) <= CONVERGED) & (stretch > 0).all(axis=0))
 
 
 @dataclass(frozen=True)
