@@ -23,19 +23,18 @@ FARTHEST = 0.5  # an octahedron's nodes move by 0.3 of its sides to the sphere
 def number_cells(faces: Ints, degree: int) -> Ints:
     """Number the nodes of each element: vertices, then nodes on edges, then interior nodes."""
     n_vertices, n_cells, per_edge = int(faces.max()) + 1, len(faces), degree - 1
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, number = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    sides = sides_of(faces)
     along = np.arange(per_edge)
     # Both neighbours number an edge's nodes from its smaller vertex to its larger.
-    position = np.where((directed[:, 0] < directed[:, 1])[:, None], along, along[::-1])
-    on_edges = n_vertices + number.reshape(-1, 1) * per_edge + position
+    position = np.where((sides.start < sides.end)[:, None], along, along[::-1])
+    on_edges = n_vertices + sides.edge[:, None] * per_edge + position
     per_cell = per_edge * (per_edge - 1) // 2
     inside = np.arange(n_cells * per_cell).reshape(n_cells, per_cell)
     return np.hstack(
         [
             faces,
             on_edges.reshape(n_cells, 3 * per_edge),
-            n_vertices + len(edges) * per_edge + inside,
+            n_vertices + (sides.edge.max() + 1) * per_edge + inside,
         ]
     )
 
