@@ -33,6 +33,36 @@ def _sums(order: Ints, starts: Ints, ones: Array) -> csr_array:
     return csr_array(entries, shape=(len(starts), len(order)))
 
 
+def _distinct(i: Ints, j: Ints, n: int) -> tuple[Ints, Ints, Ints]:
+    """The distinct ones of pairs of numbers below n, sorted, and which of them each pair is.
+
+    To transpose a sparse matrix sorts its entries, in a time that grows like their number.
+
+    Examples
+    --------
+    >>> i, j = np.array([2, 0, 2]), np.array([1, 3, 1])
+    >>> [numbers.tolist() for numbers in _distinct(i, j, 4)]
+    [[0, 2], [3, 1], [1, 0, 1]]
+    """
+
+    def order_of(numbers: Ints) -> Ints:
+        entries = np.ones(len(numbers), dtype=np.int8), numbers, np.arange(len(numbers) + 1)
+        return csr_array(entries, shape=(len(numbers), n)).tocsc().indices.astype(np.int64)
+
+    order = order_of(j)
+    order = order[order_of(i[order])]
+    starts = _first_of_each(i[order] * n + j[order])
+    which = np.empty_like(i)
+    which[order] = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(i)]))
+    first = order[starts]
+    return i[first], j[first], which
+
+
+def _first_of_each(in_order: Ints) -> Ints:
+    """Where another number begins in numbers that are sorted."""
+    return np.flatnonzero(np.r_[True, in_order[1:] != in_order[:-1]][: len(in_order)])
+
+
 class SparsePattern:
     """Where the element entries go in a symmetric (N, N) CSR matrix; made once per space.
 
@@ -64,11 +94,10 @@ class SparsePattern:
     ) -> None:
         # The entries of the upper triangle, and which of them each element entry adds to.
         a, b = cells.T[pairs[0]], cells.T[pairs[1]]  # (P, T)
-        keys, inverse, counts = np.unique(
-            np.minimum(a, b) * n_nodes + np.maximum(a, b), return_inverse=True, return_counts=True
-        )
-        sums = inverse.reshape(a.shape)
-        first, last = np.empty((2, len(keys)), dtype=np.int64)  # chunks that add to them
+        rows, columns, sums = _distinct(np.minimum(a, b).ravel(), np.maximum(a, b).ravel(), n_nodes)
+        counts = np.bincount(sums)
+        sums = sums.reshape(a.shape)
+        first, last = np.empty((2, len(rows)), dtype=np.int64)  # chunks that add to them
         for i, c in enumerate(slices):
             last[sums[:, c]] = i
         for i, c in reversed(list(enumerate(slices))):
@@ -76,12 +105,11 @@ class SparsePattern:
         alone = first == last
         # Runs of sums with equally many terms: the processor predicts their loops.
         place = np.empty_like(first)
-        place[np.lexsort((counts, np.where(alone, first, len(slices))))] = np.arange(len(keys))
+        place[np.lexsort((counts, np.where(alone, first, len(slices))))] = np.arange(len(rows))
         self._shared = int(np.count_nonzero(alone))  # places from here on are shared
         ones = np.ones(max(sums[:, c].size for c in slices))  # for all of them
         self._parts = [self._part(place[sums[:, c]], ones) for c in slices]
 
-        rows, columns = np.divmod(keys, n_nodes)
         off = rows != columns
         self.pattern = csr_array(
             (
@@ -98,12 +126,14 @@ class SparsePattern:
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
         for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
             shared.setflags(write=False)  # all matrices of the space have these indices
-        self._n_sums = len(keys)
+        self._n_sums = len(rows)
 
     def _part(self, places: Ints, ones: Array) -> tuple[csr_array, slice, Ints]:
         """What sums the entries of a chunk, and the places of its own and of the shared sums."""
         order = np.argsort(places, axis=None, kind="stable")
-        used, starts = np.unique(places.ravel()[order], return_index=True)
+        in_order = places.ravel()[order]
+        starts = _first_of_each(in_order)
+        used = in_order[starts]
         own, shared = np.split(used, [np.searchsorted(used, self._shared)])
         first = own[0] if len(own) else 0
         return _sums(order, starts, ones), slice(first, first + len(own)), shared.copy()
@@ -118,6 +148,25 @@ class SparsePattern:
         count : int
             How many matrices.
         """
+        sums = self._summed(entries, count)
+        data = [np.empty(len(self.pattern.data)) for _ in sums]
+
+        def place(part: tuple[int, slice]) -> None:
+            i, piece = part
+            where = self.pattern.data[piece].astype(np.intp, copy=False)
+            sums[i].take(where, out=data[i][piece], mode="clip")  # other modes fill a copy first
+
+        n = len(self.pattern.data)
+        side_by_side(place, product(range(count), pieces(n, PIECE)), worth=n > LEAST)
+        return [with_data(self.pattern, values) for values in data]
+
+    def _summed(self, entries: Callable[[int], tuple[Array, ...]], count: int) -> list[Array]:
+        """The sums of each matrix, in their places."""
+        if len(self._parts) == 1:  # all sums are its own
+            gather, _, _ = self._parts[0]
+            return [
+                gather @ values.ravel() for _, values in zip(range(count), entries(0), strict=True)
+            ]
         sums = np.empty((count, self._n_sums))
 
         def sum_chunk(i: int) -> list[Array]:
@@ -136,17 +185,7 @@ class SparsePattern:
         for (_, _, shared), to_shared in zip(self._parts, parts, strict=True):
             for out, values in zip(sums, to_shared, strict=True):
                 out[shared] += values
-
-        data = [np.empty(len(self.pattern.data)) for _ in sums]
-
-        def place(part: tuple[int, slice]) -> None:
-            i, piece = part
-            where = self.pattern.data[piece].astype(np.intp, copy=False)
-            sums[i].take(where, out=data[i][piece], mode="clip")  # other modes fill a copy first
-
-        n = len(self.pattern.data)
-        side_by_side(place, product(range(count), pieces(n, PIECE)), worth=n > LEAST)
-        return [with_data(self.pattern, values) for values in data]
+        return list(sums)
 
 
 def with_data(pattern: csr_array, data: Array) -> csr_array:
