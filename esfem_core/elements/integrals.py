@@ -38,7 +38,7 @@ __all__ = [
     "chunks",
 ]
 
-CHUNK = 12288  # points at which the metric is computed at a time: their arrays stay in the cache
+CHUNK = 24576  # points at which the metric is computed at a time: their arrays stay in the cache
 LEAST = FLATTEST / np.sqrt(3)  # smallest allowed s/(E + G - F), as for flat triangles
 ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
@@ -136,7 +136,9 @@ class ElementTables:
         ------
         DegenerateElementError
         """
-        t1, t2 = np.split(self.gradients @ nodes, 2, axis=1)
+        tangents = self.gradients @ nodes
+        n_points = len(self.gradients) // 2
+        t1, t2 = tangents[:, :n_points], tangents[:, n_points:]
         # A degenerate or overflowing element is recognised and reported below.
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
