@@ -99,7 +99,7 @@ class Guard:
             return 0.0
         # h = |n| / L, and the sum of squared sides is 1.5 L^2 or more.
         height = flattest * np.sqrt(1.5 * sides.min()) / SHAPE
-        area = self._by_component(shape * sides) / (2 * SHAPE)
+        area = self._by_component(self._size) / (2 * SHAPE)
         thickness = (abs(volume) / area)[self._closed].min(initial=np.inf)
         return float(min(height / 10, thickness / 2) / np.sqrt(3))
 
