@@ -71,8 +71,8 @@ Fronts(nodes=5, levels=2, fronts=3, largest front=4 x 4, entries of a factor per
 ([3, 1, 2, 5, 6], [5, 1, 2, 0, 5, 3, 4])
 >>> level = fronts.levels[1]
 >>> batch = level.batches[0]
->>> batch.own, batch.outer.tolist()  # slots of the nodes I, and of the nodes B
-(slice(3, 7, None), [[1, 2], [1, 2]])
+>>> batch.own, batch.slots.tolist()  # slots of the nodes I, and of all
+(slice(3, 7, None), [[3, 4, 1, 2], [5, 6, 1, 2]])
 >>> level.padding.tolist()  # the dot's diagonal entry, set to 1: its front stays regular
 [5]
 
@@ -125,8 +125,10 @@ class Batch(NamedTuple):
         Its number.
     own : slice
         Slots of the nodes I, front by front.
+    slots : (F, m) int array
+        Slots of the nodes I and B.
     outer : (F, m - m_I) int array
-        Slots of the nodes B.
+        Those of the nodes B once more, in one piece.
     number, place : int
         Of the first front among those of its depth, and where it stands in their memory.
     above : (F,) int array
@@ -137,6 +139,7 @@ class Batch(NamedTuple):
 
     subtree: int
     own: slice
+    slots: Ints
     outer: Ints
     number: int
     place: int
@@ -146,9 +149,8 @@ class Batch(NamedTuple):
     @property
     def shape(self) -> tuple[int, int, int]:
         """F, m_I and m."""
-        count, m_B = self.outer.shape
-        m_I = (self.own.stop - self.own.start) // count
-        return count, m_I, m_I + m_B
+        count, m = self.slots.shape
+        return count, m - self.outer.shape[1], m
 
 
 class Level(NamedTuple):
@@ -475,7 +477,7 @@ def _batches(
     # Slots, and rows in larger fronts, of all nodes of all fronts. Padded nodes keep the zeros: S
     # is zero in their rows and columns, and slot 0 is theirs.
     at = places.nodes[nodes.part] + places.row
-    slots, rows = np.zeros((2, int(places.width.sum())), dtype=np.int64)
+    slots, rows = (np.zeros(int(places.width.sum()), dtype=np.int64) for _ in range(2))
     slots[at] = slot[nodes.node]
     number = np.zeros(len(batches.padded), dtype=np.int64)
     if above is not None:
@@ -491,14 +493,16 @@ def _batches(
         m_I, m = int(batches.padded[q, 0]), int(places.width[q])
         own = _stretch(first_slot[q], count * m_I)
         flat = _stretch(places.nodes[q], count * m)
-        outer = slots[flat].reshape(count, m)[:, m_I:].copy()
+        of_fronts = slots[flat].reshape(count, m)
         subtree = int(q) * subtrees // len(batches.padded)
-        outer[outer < shared] += subtree * shared
+        of_fronts[of_fronts < shared] += subtree * shared
+        of_fronts[:, :m_I] = np.arange(own.start, own.stop).reshape(count, m_I)
         found.append(
             Batch(
                 subtree,
                 own,
-                outer,
+                of_fronts,
+                of_fronts[:, m_I:].copy(),
                 int(places.number[q]),
                 int(places.front[q]),
                 number[parts],

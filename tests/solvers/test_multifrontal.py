@@ -8,6 +8,7 @@ from scipy.sparse.linalg import spsolve
 
 import esfem_core as ec
 from esfem_core.solvers import Fronts, dissect, factorise
+from esfem_core.solvers.multifrontal import HALVED, _inverse
 
 
 def pieces():
@@ -69,6 +70,24 @@ def test_fronts_eliminated_one_at_a_time_give_the_same(monkeypatch):
     together = factorise(A, fronts, np.float64).solve(b)
     monkeypatch.setattr("esfem_core.solvers.multifrontal.RUN", 1)
     np.testing.assert_allclose(factorise(A, fronts, np.float64).solve(b), together, atol=1e-13)
+
+
+@pytest.mark.parametrize("k", [1, HALVED, HALVED + 1, 2 * HALVED + 1, 100])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_matrices_inverted_half_by_half(k, dtype):
+    half = np.random.default_rng(k).standard_normal((3, k, k))
+    F = (half @ half.swapaxes(1, 2) + np.eye(k)).astype(dtype)
+    inverse = _inverse(F)
+    assert inverse.dtype == dtype
+    scale = np.linalg.norm(F, 2, axis=(1, 2)) * np.linalg.norm(inverse, 2, axis=(1, 2))
+    error = abs(inverse @ F - np.eye(k)).max(axis=(1, 2))
+    assert (error < 10 * np.finfo(dtype).eps * scale).all()
+
+
+def test_a_singular_block_is_refused():
+    F = np.ones((1, 2 * HALVED, 2 * HALVED))
+    with pytest.raises(np.linalg.LinAlgError, match="Singular"):
+        _inverse(F)
 
 
 @pytest.mark.parametrize("size", [1e-200, 1e-30, 1e30, 1e200])
