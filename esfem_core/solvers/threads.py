@@ -3,7 +3,8 @@
 The work is divided into pieces that do not depend on the number of threads. Each piece writes to a
 place of its own, and what has to be summed over pieces is summed afterwards, in their order. NumPy
 and SciPy let other threads go on while they compute, so that pieces of a tenth of a millisecond or
-more are worth it; shorter ones should not be made.
+more are worth it; shorter ones should not be made. Meanwhile BLAS works on one thread: its threads
+and these would be in each other's way.
 """
 
 import os
@@ -14,15 +15,22 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
+from importlib import import_module
 from multiprocessing import parent_process
-from threading import current_thread, main_thread
-from typing import TypeVar
+from threading import Lock, current_thread, main_thread
+from typing import Any, TypeVar
 
 from esfem_core.checks import whole_number
 
 __all__ = ["MOST_THREADS", "pieces", "side_by_side", "thread_count", "using_threads"]
 
 MOST_THREADS = 256
+BLAS_THREADS = (
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,7 +43,9 @@ def thread_count() -> int:
 
     In browsers 1; elsewhere as many as :func:`using_threads` says; else as the environment variable
     ``OMP_NUM_THREADS`` says; else 1 in worker processes and in threads other than the main one,
-    where the processors are taken; else one for each processor that this process may use.
+    where the processors are taken; else one for each processor that this process may use, if BLAS
+    can be held to one thread, by the package threadpoolctl (extra ``fast``) or an environment
+    variable such as ``OPENBLAS_NUM_THREADS=1``; else 1.
 
     Examples
     --------
@@ -53,6 +63,8 @@ def thread_count() -> int:
         return min(int(said), MOST_THREADS)
     if parent_process() is not None or current_thread() is not main_thread():
         return 1
+    if _blas_pools() is None and not any(os.environ.get(name) == "1" for name in BLAS_THREADS):
+        return 1
     if hasattr(os, "sched_getaffinity"):
         return min(len(os.sched_getaffinity(0)), MOST_THREADS)
     return min(os.cpu_count() or 1, MOST_THREADS)
@@ -60,12 +72,12 @@ def thread_count() -> int:
 
 @contextmanager
 def using_threads(number: int | None) -> Iterator[None]:
-    """Let so many threads share the work inside a ``with``.
+    """Let so many threads share the work inside a ``with``, and BLAS work on one.
 
     Parameters
     ----------
     number : int or None
-        1 to 256; None changes nothing.
+        1 to 256; None for as many as outside.
 
     Raises
     ------
@@ -74,10 +86,12 @@ def using_threads(number: int | None) -> Iterator[None]:
     """
     if number is not None:
         number = whole_number("threads", number, 1, MOST_THREADS)
-    token = _chosen.set(_chosen.get() if number is None else number)
+    token = _chosen.set(thread_count() if number is None else number)
+    _blas.hold()
     try:
         yield
     finally:
+        _blas.release()
         _chosen.reset(token)
 
 
@@ -112,6 +126,9 @@ def side_by_side(
     """
     if not worth or thread_count() == 1:
         return [function(item) for item in items]
+    if _chosen.get() is None:
+        with using_threads(None):
+            return side_by_side(function, items)
     todo = deque(enumerate(items))
     number = min(thread_count(), len(todo))
     results: dict[int, Result] = {}
@@ -143,6 +160,41 @@ def side_by_side(
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="esfem_core")
+
+
+class _Blas:
+    """Holds the threads of BLAS back while any of ours, of whatever caller, are at work."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._holders = 0
+        self._before: Any = None
+
+    def hold(self) -> None:
+        with self._lock:
+            self._holders += 1
+            pools = _blas_pools()
+            if self._holders == 1 and pools is not None:
+                self._before = pools.limit(limits=1)
+
+    def release(self) -> None:
+        with self._lock:
+            self._holders -= 1
+            if self._holders == 0 and self._before is not None:
+                self._before.restore_original_limits()
+                self._before = None
+
+
+_blas = _Blas()
+
+
+@cache
+def _blas_pools() -> Any:
+    """What can hold BLAS back; None where threadpoolctl is not installed."""
+    try:
+        return import_module("threadpoolctl").ThreadpoolController().select(user_api="blas")
+    except ImportError:
+        return None
 
 
 if hasattr(os, "register_at_fork"):  # a forked process has none of these threads

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import esfem_core as ec
 from esfem_core.solvers import products, side_by_side, thread_count, threads, times, using_threads
@@ -77,6 +78,14 @@ class TestDefault:
         monkeypatch.setenv("OMP_NUM_THREADS", said)
         assert thread_count() == len(os.sched_getaffinity(0))
 
+    def test_one_where_blas_has_threads_that_cannot_be_held_back(self, monkeypatch):
+        monkeypatch.setattr(threads, "_blas_pools", lambda: None)
+        for name in threads.BLAS_THREADS:
+            monkeypatch.delenv(name, raising=False)
+        assert thread_count() == 1
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+        assert thread_count() == len(os.sched_getaffinity(0))
+
     def test_one_in_threads_that_others_have_started(self):
         with ThreadPoolExecutor(1) as pool:
             assert pool.submit(thread_count).result() == 1
@@ -84,6 +93,56 @@ class TestDefault:
     def test_one_in_worker_processes(self, monkeypatch):
         monkeypatch.setattr(threads, "parent_process", multiprocessing.current_process)
         assert thread_count() == 1
+
+
+class TestBlas:
+    """Other threads than these make products of matrices, unless they are held back."""
+
+    @pytest.fixture(autouse=True)
+    def two_threads(self):
+        with threadpool_limits(2, user_api="blas"):
+            yield
+
+    @staticmethod
+    def counts():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    def test_works_on_one_thread_while_ours_do(self):
+        with using_threads(2):
+            assert side_by_side(lambda _: self.counts(), range(2)) == [{1}, {1}]
+            with using_threads(1):
+                assert self.counts() == {1}
+            assert self.counts() == {1}
+        assert self.counts() == {2}
+
+    def test_also_if_nobody_has_said_how_many(self, monkeypatch):
+        monkeypatch.setenv("OMP_NUM_THREADS", "2")
+        assert side_by_side(lambda _: self.counts(), range(2)) == [{1}, {1}]
+        assert self.counts() == {2}
+
+    def test_until_the_last_of_several_callers_is_done(self):
+        first, second = using_threads(1), using_threads(1)
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert self.counts() == {1}
+        second.__exit__(None, None, None)
+        assert self.counts() == {2}
+
+    def test_also_after_a_failure(self):
+        with pytest.raises(ZeroDivisionError), using_threads(2):
+            side_by_side(lambda i: 1 / i, range(3))
+        assert self.counts() == {2}
+
+    def test_between_the_steps_of_a_run_it_has_its_own(self):
+        space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+        seen = []
+        problem = ec.Problem(
+            u0=lambda x: x[:, 0], f=lambda at: seen.append(self.counts()) or 0 * at.u
+        )
+        for _ in ec.evolve(space, problem, 1, 0.1, 0.2):
+            assert self.counts() == {2}
+        assert seen == [{1}] * 2
 
 
 @pytest.mark.parametrize("number", [0, 257, 1.5, "2"])
