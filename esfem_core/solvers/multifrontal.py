@@ -31,6 +31,7 @@ __all__ = ["BlockFactor", "factorise"]
 
 PRECISIONS = (np.dtype(np.float32), np.dtype(np.float64))
 LARGE = 10**5  # entries of right-hand sides that several threads put into place
+GOOD = 0.05  # residual up to which errors of single precision cost an iteration at most
 HALVED = 16  # rows of a matrix, above which it is inverted half by half
 RUN = 2**21  # entries of the fronts that are eliminated at a time
 
@@ -60,8 +61,9 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
     fronts : Fronts
         Of a mesh, for example :attr:`esfem_core.SurfaceSpace.fronts`.
     dtype : float32 or float64, optional
-        Of the computation and the factor. Default: single precision, unless that leaves a residual
-        of half the right-hand side or more where the solution is constant; then double.
+        Of the computation and the factor. Default: single precision, if that leaves a small
+        residual where the solution is constant; else double in the computation, and in the factor
+        as well if rounding it left a residual as large as the right-hand side.
 
     Returns
     -------
@@ -97,8 +99,12 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
         )
     if dtype is not None:
         return _factorise(A, fronts, _precision(dtype))
-    single = _factorise(A, fronts, np.dtype(np.float32))
-    return single if _useful(single, A) else _factorise(A, fronts, np.dtype(np.float64))
+    single = _in_single(A, fronts)
+    if single is not None:
+        return single
+    double = _factorise(A, fronts, np.dtype(np.float64))
+    single = double.astype(np.dtype(np.float32))
+    return single if _leaves(1.0, single, A) else double
 
 
 def _precision(dtype: DTypeLike) -> np.dtype:
@@ -110,12 +116,21 @@ def _precision(dtype: DTypeLike) -> np.dtype:
     raise ValueError(f"dtype must be float32, float64 or None, got {shown(dtype)}")
 
 
-def _useful(factor: "BlockFactor", A: csr_array) -> bool:
-    """Whether a solution has less than half the residual that zero has."""
+def _in_single(A: csr_array, fronts: Fronts) -> "BlockFactor | None":
+    """A factor computed in single precision, if that is good enough for a preconditioner."""
+    with suppress(np.linalg.LinAlgError):  # it may be singular in single precision alone
+        factor = _factorise(A, fronts, np.dtype(np.float32))
+        if _leaves(GOOD, factor, A):
+            return factor
+    return None
+
+
+def _leaves(share: float, factor: "BlockFactor", A: csr_array) -> bool:
+    """Whether a constant solution leaves less than this share of the right-hand side."""
     # A single-precision solution has rough rounding errors of relative size 1e-7, which A
     # multiplies by its largest eigenvalues, and constants, as a rule, by its smallest.
     b = A @ np.ones(A.shape[0])
-    return bool(np.linalg.norm(b - A @ factor.solve(b)) < np.linalg.norm(b) / 2)
+    return bool(np.linalg.norm(b - A @ factor.solve(b)) < share * np.linalg.norm(b))
 
 
 def _factorise(A: csr_array, fronts: Fronts, dtype: np.dtype) -> "BlockFactor":
@@ -273,6 +288,14 @@ class BlockFactor:
         side_by_side(partial(_downwards, y), self._subtrees)
         side_by_side(take, range(len(y)), worth)
         return x.T.reshape(b.shape)
+
+    def astype(self, dtype: np.dtype) -> "BlockFactor":
+        """The same factor in another precision."""
+        subtrees, top = (
+            [[(run, block.astype(dtype)) for run, block in steps] for steps in part]
+            for part in (self._subtrees, [self._top])
+        )
+        return BlockFactor(self._fronts, self._scale, subtrees, top[0])
 
     def __repr__(self) -> str:
         n, blocks = len(self._fronts.slot), self._blocks

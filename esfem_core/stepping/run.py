@@ -160,8 +160,9 @@ def evolve(
         Steps from save to save.
     threads : int, optional
         How many share the work of a step; the states are the same to the last bit. Default: what
-        :func:`esfem_core.solvers.threads.thread_count` says, one for each processor as a rule, but
-        1 in worker processes and where ``OMP_NUM_THREADS=1``. Small meshes keep to one.
+        :func:`esfem_core.solvers.threads.thread_count` says: with the extra ``fast`` one for each
+        processor, but 1 in worker processes and where ``OMP_NUM_THREADS=1``. Small meshes keep to
+        one.
 
     Yields
     ------

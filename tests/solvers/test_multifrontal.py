@@ -7,7 +7,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 
 import esfem_core as ec
-from esfem_core.solvers import Fronts, dissect, factorise
+from esfem_core.solvers import Fronts, LaggedSolver, dissect, factorise
 from esfem_core.solvers.multifrontal import HALVED, _inverse
 
 
@@ -141,6 +141,27 @@ def test_nearly_singular_matrices_are_kept_in_double_precision(weight, dtype):
     np.testing.assert_array_equal(
         factorise(A, space.fronts).solve(b), factorise(A, space.fronts, dtype).solve(b)
     )
+
+
+def test_what_is_singular_in_single_precision_alone_is_done_in_double():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    M, A = space.mass_stiffness(space.nodes)
+    A, b = 1e-10 * M + A, space.nodes[:, 2]
+    with pytest.raises(np.linalg.LinAlgError, match="Singular"):
+        factorise(A, space.fronts, np.float32)
+    np.testing.assert_allclose(A @ factorise(A, space.fronts).solve(b), b, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-1, 1e-2, 1e-3, 1e-5])
+def test_hubs_cost_no_iterations(weight):
+    """Around them, single precision throughout would cost ten to thirty."""
+    space = ec.SurfaceSpace(trimesh.creation.cylinder(1.0, 1e-3, sections=3000), 1)
+    M, A = space.mass_stiffness(space.nodes)
+    solver = LaggedSolver(factorise=lambda A: factorise(A, space.fronts))
+    b = M @ np.random.default_rng(0).standard_normal(len(space.nodes))
+    solver.solve(weight * M + A, b, np.zeros_like(b))
+    assert solver.iterations <= 6
+    assert solver.factorisations == 1
 
 
 @pytest.mark.parametrize("dtype", [np.float16, int, complex, "double double"])
