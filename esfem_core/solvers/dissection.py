@@ -155,7 +155,7 @@ def _numbered(counts: Ints) -> Ints:
 
 def _sorted_along(direction: Array, c: Array, part: Ints) -> Ints:
     """Order of the elements of each part along its direction."""
-    return np.lexsort(((c * direction[part]).sum(axis=1), part))
+    return np.lexsort((np.vecdot(c, direction[part]), part))
 
 
 def _cut_edges(order: Ints, halves: Ints, neighbours: tuple[Ints, Ints]) -> Ints:

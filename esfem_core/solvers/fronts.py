@@ -265,7 +265,8 @@ def nodes_of_parts(tree: Dissection, cells: Ints, depth: int) -> PartNodes:
     part = (tree.cell_part >> (tree.depth - depth)).repeat(cells.shape[1])
     node = cells.ravel()
     left = tree.node_depth[node] <= depth
-    keys = np.unique(_keys(in_larger, part[left], node[left]))  # elements share nodes
+    keys = np.sort(_keys(in_larger, part[left], node[left]))
+    keys = keys[np.diff(keys, prepend=-1) > 0]  # elements share nodes
     part_and_side, node = np.divmod(keys, len(in_larger))
     part, side = np.divmod(part_and_side, 2)
     counts = np.bincount(part_and_side, minlength=2 << depth)
