@@ -181,7 +181,7 @@ def main() -> None:
     kinds = ("right", "refused", "else")
     rows = [
         [name, sum(counts[name, k] for k in kinds), *(counts[name, k] for k in kinds)]
-        for name in sorted({name for name, _ in counts}, key=str.lower)
+        for name in sorted({name for name, _ in counts}, key=lambda name: (name.lower(), name))
     ]
     totals = ["all", *(sum(row[i] for row in rows) for i in range(1, 5))]
     with TABLE.open("w", encoding="utf8", newline="") as file:
