@@ -8,7 +8,7 @@ from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.slip import Elastic, with_slip
 from esfem_core.laws.species import Part, Species, check_initial
-from esfem_core.laws.values import values_at
+from esfem_core.laws.values import finite_nodal, values_at
 from esfem_core.laws.volume_preserving import VolumePreserving
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "VolumePreserving",
     "check_initial",
     "check_law",
+    "finite_nodal",
     "same_species",
     "values_at",
     "with_slip",

@@ -39,7 +39,7 @@ from esfem_core.elements import (
 )
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
-from esfem_core.laws.values import Once, values_at
+from esfem_core.laws.values import Once, finite_nodal, values_at
 
 __all__ = ["MeanCurvature"]
 
@@ -170,7 +170,7 @@ class MeanCurvature(Law):
         if self.g is None:
             return None
         if _takes_points(self.g):
-            return finite_array("g(x, t)", self.g(at.x.copy(), at.t), (len(at.x),))
+            return finite_nodal("g(x, t)", self.g(at.x.copy(), at.t), (len(at.x),))
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
 
 

@@ -40,12 +40,12 @@ from typing import Literal
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, number, one_of, shown
+from esfem_core.checks import Array, number, one_of, real_array, shown
 from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
 from esfem_core.laws.law import Law, Solve, check_law
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.species import Species
-from esfem_core.laws.values import Once
+from esfem_core.laws.values import Once, finite_nodal
 from esfem_core.solvers import factorise
 
 __all__ = ["Elastic", "with_slip"]
@@ -208,11 +208,11 @@ class _Slipping(Law):
         law = self.law
         if isinstance(law, Prescribed):
             assert law.field is not None
-            return law.field(at.x, at.t)
+            return finite_nodal("velocity(x, t)", law.field(at.x.copy(), at.t), at.x.shape)
         return law.velocity(at, new, tau, past, solve)
 
     def slip(self, at: Surface) -> Array:
-        return finite_array("w(at)", self.w(at), at.x.shape)
+        return real_array("w(at)", self.w(at), at.x.shape)  # the run looks at the values
 
 
 def _tangential(w: Array, n: Array) -> Array:

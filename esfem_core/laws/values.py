@@ -9,7 +9,7 @@ import numpy as np
 from esfem_core.checks import Array, real_array
 from esfem_core.elements import NotFiniteError, Surface
 
-__all__ = ["Function", "Once", "force_at", "values_at"]
+__all__ = ["Function", "Once", "finite_nodal", "force_at", "values_at"]
 
 Function = Callable[[Surface], Array]
 
@@ -54,6 +54,25 @@ def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[in
             "finite",
             element,
         )
+    return values
+
+
+def finite_nodal(name: str, returned: Any, shape: tuple[int, ...]) -> Array:
+    """Nodal values that a function has returned in a step.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shape is another, or the values are not real.
+    FloatingPointError
+        If a value is not finite, which ends a run as numbers do that go bad by themselves.
+    """
+    values = real_array(name, returned, shape)
+    finite = np.isfinite(values)
+    if not finite.all():
+        place = tuple(np.argwhere(~finite)[0].tolist())
+        found = f"{name}{list(place)} is {values[place]}"
+        raise FloatingPointError(f"{name} must be finite, but {found}")
     return values
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, shown
+from esfem_core.checks import Array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
-from esfem_core.laws import Part, Species, same_species
+from esfem_core.laws import Part, Species, finite_nodal, same_species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolated
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
@@ -159,7 +159,7 @@ class Scheme:
         if given is None and "x" in extra:
             x_past = x_past - step * extra["x"]
         if w is not None:
-            x_past = x_past - step * finite_array("the slip", w, x_past.shape)
+            x_past = x_past - step * finite_nodal("the slip w(at)", w, x_past.shape)
         tau, past = step / d[0], x_past / d[0]
 
         own = self.problem.law_species
@@ -171,7 +171,7 @@ class Scheme:
             array.setflags(write=False)  # the law sees them
         solve = self._law_solver(extra.get("v"))
         v = law.velocity(at, dict(functions), tau, past, solve)
-        v = finite_array("the velocity of the law", v, at.x.shape)
+        v = finite_nodal("the velocity of the law", v, at.x.shape)
         x = (step * v - x_past) / d[0] if given is None else given
 
         M = self.space.mass(x) if self.mass == "updated" and given is None else at.M
@@ -270,7 +270,7 @@ class Scheme:
             shape = known[name]
             if isinstance(vector, int | float):  # a constant
                 vector = np.full(shape, vector)
-            found[name] = finite_array(f"perturbation({n})[{name!r}]", vector, shape)
+            found[name] = finite_nodal(f"perturbation({n})[{name!r}]", vector, shape)
         return found
 
 

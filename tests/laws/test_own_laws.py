@@ -66,6 +66,60 @@ def test_what_a_law_returns_is_checked():
             list(ec.evolve(SPACE, ec.Problem(law=Rest(v)), 1, 0.1, 0.2))
 
 
+def bad(t):
+    return np.nan if t > 0.25 else 0.0
+
+
+class Failing(Rest):
+    def velocity(self, at, new, tau, past, solve):
+        return self.v + bad(at.t)
+
+
+REST = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
+STILL = np.zeros_like(SPACE.nodes)
+
+
+@pytest.mark.parametrize(
+    ("law", "text"),
+    [
+        (Failing(STILL), "the velocity of the law"),
+        (ec.laws.with_slip(REST, lambda at: 0 * at.x + bad(at.t)), r"the slip w\(at\)"),
+        (
+            ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: 0 * x + bad(t)), "elastic"),
+            r"velocity\(x, t\)",
+        ),
+        (ec.laws.MeanCurvature(g=lambda x, t: 2 + bad(t) + 0 * x[:, 0]), r"g\(x, t\)"),
+    ],
+    ids=["own law", "slip", "velocity with a slip", "forcing"],
+)
+def test_numbers_that_go_bad_end_a_run_with_step_and_time(law, text):
+    states = []
+    with pytest.raises(ec.EvolutionError, match=f"step 3, t = 0.3: {text} must be finite, but "):
+        states.extend(ec.evolve(SPACE, ec.Problem(law=law), 1, 0.1, 1.0))
+    run = ec.evolve(SPACE, ec.Problem(law=law), 1, 0.1, 1.0)
+    assert [next(run).t for _ in range(3)] == [0.0, 0.1, 0.2]
+
+
+def test_a_perturbation_that_goes_bad_does_so_too():
+    with pytest.raises(ec.EvolutionError, match=r"step 2, t = 0.2: perturbation\(2\)\['x'\] must"):
+        list(
+            ec.evolve(
+                SPACE,
+                ec.Problem(law=Rest(STILL)),
+                1,
+                0.1,
+                1.0,
+                perturbation=lambda n: {"x": np.nan if n == 2 else 0.0},
+            )
+        )
+
+
+def test_a_velocity_may_change_what_it_is_given_with_a_slip_as_well():
+    law = ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: x.__imul__(0.1)), "elastic")
+    *_, last = ec.evolve(SPACE, ec.Problem(law=law), 2, 0.1, 0.5)
+    np.testing.assert_allclose(np.linalg.norm(last.x, axis=1), np.exp(0.05), rtol=1e-3)
+
+
 def test_what_is_no_law_is_refused():
     takers = (lambda law: ec.Problem(law=law), lambda law: ec.laws.with_slip(law, "elastic"))
     for take in takers:
