@@ -235,14 +235,13 @@ def _check_room(at: Surface, h: float) -> None:
     if h > limit:
         which = "the surface" if len(areas) == 1 else "the smallest component"
         raise ValueError(
-            f"h must be at most {limit:.3g}, so that {which}, of area {areas.min():.3g}, has room "
+            f"h must be at most {limit!r}, so that {which}, of area {areas.min():.3g}, has room "
             f"for {FEWEST} triangles, got {h:g}"
         )
-    expected = float(areas.sum()) / (triangle * h**2)
-    if expected > MOST:
-        least = float(np.sqrt(areas.sum() / (MOST * triangle)))
+    least = float(np.sqrt(areas.sum() / (MOST * triangle)))
+    if h < least:
         raise ValueError(
-            f"h must be at least {least:.3g}, so that there are at most {MOST} triangles, got {h:g}"
+            f"h must be at least {least!r}, so that there are at most {MOST} triangles, got {h:g}"
         )
 
 

@@ -31,7 +31,6 @@ from esfem_core.solvers import (
     cholmod,
     factorise,
     superlu,
-    thread_count,
     using_threads,
 )
 from esfem_core.stepping.agreement import (
@@ -247,8 +246,7 @@ def _on_threads(states: Iterator[State], threads: int | None) -> Iterator[State]
     """The same states; only while one is computed, so many threads share the work."""
     with closing(states):  # type: ignore[type-var]
         while True:
-            # Asked once for a state: the environment is slow to read.
-            with using_threads(thread_count() if threads is None else threads):
+            with using_threads(threads):
                 state = next(states, None)
             if state is None:
                 return
@@ -377,7 +375,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
     n_steps = count_steps(0.0, step, end) - (order - 1)
     if n_steps < 0:
         raise ValueError(
-            f"end must be at least (p - 1) step = {(order - 1) * step:g} for order p = {order}, "
+            f"end must be at least (p - 1) step = {(order - 1) * step!r} for order p = {order}, "
             f"got {end!r}"
         )
     return n_steps

@@ -237,7 +237,8 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
     object_of(name, state, State)
     if not (state.space is None or same_space(state.space, space)):
         raise ValueError(
-            f"{name} must be a state of this space, {space!r}, but it is one of {state.space!r}"
+            f"{name} must be a state of this space, {space!r}, but it is one of {state.space!r} "
+            "with other nodes, elements or quadrature"
         )
     n = len(space.nodes)
     x = finite_array(f"{name}.x", state.x, (n, 3))

@@ -63,9 +63,9 @@ def boundary_advice(vertices: Array, faces: Ints) -> str:
     Examples
     --------
     >>> boundary_advice(np.eye(3), np.array([[0, 1, 2]]))
-    '; where the motion is prescribed, boundary=True takes the surface as it is'
+    '; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is'
     """
     apart = len(np.unique(vertices + 0.0, axis=0)) < len(vertices)  # to be merged, not left open
     if apart or fault(vertices, faces, boundary=True) is not None:
         return ""
-    return "; where the motion is prescribed, boundary=True takes the surface as it is"
+    return "; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is"

@@ -288,7 +288,7 @@ def _of_file(path: Path) -> Elements:
         reason = " ".join(said.getvalue().split()) or f"{type(error).__name__}: {error}"
         raise ValueError(
             f"{path.name} cannot be read as .{kind} ({reason}); if PyVista can read it, "
-            f"pyvista.read({path.name!r}) is taken instead of the path, or else write it as PLY, "
+            f"pyvista.read({str(path)!r}) is taken instead of the path, or else write it as PLY, "
             "STL or OBJ with the program that made it"
         ) from error
     if found.unit is None and kind in ("glb", "gltf"):

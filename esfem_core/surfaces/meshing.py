@@ -108,7 +108,7 @@ def from_level_set(
     low, high = _box(bounds)
     h, size = number("h", h, above=0), float((high - low).max())
     if h > 2 * size:
-        raise ValueError(f"h must be at most twice the box's longest side, {size:g}, got {h:g}")
+        raise ValueError(f"h must be at most {2 * size!r}, twice the box's longest side, got {h:g}")
     given, gradient = gradient, checked_gradient(d, gradient, size)
     x, faces = _first_mesh(d, low, high, h, gradient)
     guide = Guide(d, gradient, partial(descend, d, gradient))
@@ -160,7 +160,13 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float, gradient: Field) ->
     spacing = (high - low) / (2 * cells)
     values = _sample(d, axes)
     _check_signs(values, axes, d, gradient)
-    x, faces = _march(values[::2, ::2, ::2], low, 2 * spacing)
+    coarse = values[::2, ::2, ::2]
+    if not (coarse <= 0).any():
+        raise ValueError(
+            f"h must be smaller for this surface, got {h:g}, which is too large: a grid of spacing "
+            f"{2 * spacing.max():.3g} has no point inside, one of half the spacing has"
+        )
+    x, faces = _march(coarse, low, 2 * spacing)
     found, finer = _topology(faces), _topology(_march(values, low, spacing)[1])
     if found != finer:
         raise ValueError(

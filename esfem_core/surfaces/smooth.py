@@ -51,7 +51,9 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
 
     For surfaces that are known by their triangles only, as those of most files. On a smooth
     surface the distance is of order 4 and the normal of order 3, where facets have 2 and 1, so
-    that elements of degree 2 and 3 keep their orders k + 1 and k.
+    that elements of degree 2 and 3 keep their orders k + 1 and k. That is for triangles of bounded
+    shape: beside long ones, as CAD programs make them, the surface can be farther off than the
+    facets; compare the volumes.
 
     Parameters
     ----------

@@ -123,6 +123,10 @@ REFUSED = {
         (two_rings, BOXES[two_rings], 0.4),
         r"got 0\.4, which is too large: .* turns by \d+ degrees within a triangle",
     ),
+    "between the points of the coarse grid": (
+        (lambda x: np.linalg.norm(x - 0.1, axis=1) - 0.2, BOX, 0.5),
+        r"h must be smaller for this surface, got 0\.5, .* has no point inside, one of half",
+    ),
     "h and a thin tube": (
         (lambda x: torus(x, r=0.05), [[-1.2, -1.2, -0.2], [1.2, 1.2, 0.2]], 0.1),
         r"got 0\.1, which is too large",
@@ -142,7 +146,7 @@ REFUSED = {
     "gradient inwards": ((unit_sphere, BOX, 0.5, lambda x: -x), "gradient must be that of d"),
     "gradient aside": ((unit_sphere, BOX, 0.5, lambda x: 2 * x + 0.3), "gradient must be that of"),
     "h smallest": ((unit_sphere, BOX, 5e-324), r"h must be larger for this box: .* inf points"),
-    "h largest": ((unit_sphere, BOX, 1e300), r"h must be at most twice .*, got 1e\+300"),
+    "h largest": ((unit_sphere, BOX, 1e300), r"h must be at most .*, twice .*, got 1e\+300"),
     "d large": (
         (lambda x: 1e300 * unit_sphere(x), BOX, 0.5),
         r"values of d must be up to 1e\+150, .* small number",
