@@ -44,10 +44,11 @@ def remeshed(
     the surface lets it, angles above 30 degrees: triangles are split and collapsed, edges flipped,
     vertices relaxed. All new nodes, of elements of the same degree k, are points of the old curved
     surface; for k = 1, of the smooth one through its vertices, :func:`esfem_core.smooth`, so that a
-    surface does not shrink each time. Positions, velocities and functions are interpolated, with
-    errors O(h^{k+1}); the length of a vector field "normal" is interpolated apart from its
-    direction. Where the old triangles do not resolve the surface, curved elements that would fold
-    over become flat.
+    smooth surface does not shrink each time. Creases are not kept: edges and corners are cut off,
+    and conserved functions grow by what the area loses. Positions, velocities and functions are
+    interpolated, with errors O(h^{k+1}); the length of a vector field "normal" is interpolated
+    apart from its direction. Where the old triangles do not resolve the surface, curved elements
+    that would fold over become flat.
 
     Smallest angles do not tell all. Where a surface shrinks towards a tip, its particles come close
     to each other with good angles, and small errors grow to spikes: there the areas of the
@@ -68,7 +69,8 @@ def remeshed(
         What is solved. Its species say which functions are conserved; if not given, those with
         products in a state are, or all functions if no state has been computed by a step.
         Needed if the problem knows positions by the initial ones, as ``Prescribed(motion=X)`` and
-        exact solutions do: see below.
+        exact solutions do: see below. Without it nobody sees that a species is fixed at nodes that
+        are given by number, ``fixed=(nodes, values)``: these are others afterwards.
 
     Returns
     -------
@@ -82,7 +84,7 @@ def remeshed(
     ------
     TypeError, ValueError
         If the states do not fit together, know no space, have a boundary, or lack a function of
-        the problem. If h is
+        the problem, or the problem fixes one at nodes that are given by number. If h is
         not positive, or so large that the surface could not have the topology it has: a component
         has no room for twenty triangles, or turns by more than 60 degrees within one. If the new
         triangles are not fit on the initial surface, where that counts. If a node has no normal,
@@ -118,6 +120,7 @@ def remeshed(
     if problem is not None and not isinstance(problem, Problem):
         raise TypeError(f"problem must be a Problem, got {shown(problem)}")
     conserved = _conserved(given, problem)
+    _check_fixed(problem)
     x = given[-1].x
     if h is None:
         h = float(edges_of(faces_of(space)).lengths(x[corners_of(space)]).mean())
@@ -266,6 +269,17 @@ def _conserved(states: Sequence[State], problem: Problem | None) -> list[str]:
     if all(state.method is None for state in states):
         return list(present)
     return [name for name in present if any(name in state.products for state in states)]
+
+
+def _check_fixed(problem: Problem | None) -> None:
+    """Refuse values at nodes that are given by number: the new nodes have other numbers."""
+    for name, species in ({} if problem is None else problem.all_species).items():
+        if species.fixed is not None and species.fixed.where is not None:
+            raise ValueError(
+                f"problem must not fix {name!r} at nodes that are given by their numbers, which "
+                "mean other nodes afterwards: remeshed(states, h, ...) for a problem without that, "
+                "then Species(fixed=(nodes, values)) with nodes of states[-1].space"
+            )
 
 
 def _knows_paths(problem: Problem) -> bool:

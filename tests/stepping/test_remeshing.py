@@ -434,7 +434,22 @@ def test_the_largest_length_is_allowed():
     with pytest.raises(ValueError, match="at most") as refused:
         ec.remeshed(STATE, 5.0)
     limit = float(str(refused.value).split("at most ")[1].split(",")[0])
-    assert len(ec.remeshed(STATE, 0.999 * limit).space.cells) >= 8
+    assert len(ec.remeshed(STATE, limit).space.cells) >= 8
+
+
+def test_values_at_numbered_nodes_are_not_moved_to_other_nodes():
+    cap = np.flatnonzero(BALL.nodes[:, 2] > 0.5)
+    rest = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
+
+    def problem(**options):
+        return ec.Problem(species={"u": ec.Species(0.0, conserved=False, **options)}, law=rest)
+
+    with pytest.raises(ValueError, match="must not fix 'u' at nodes that are given by their numb"):
+        ec.remeshed(STATE, 0.4, problem(fixed=(cap, 1.0)))
+    new = ec.remeshed(STATE, 0.4, problem())  # as the message says
+    cap = np.flatnonzero(new.space.nodes[:, 2] > 0.5)
+    *_, last = ec.evolve(new.space, problem(fixed=(cap, 1.0)), 1, 0.1, 0.2, start=[new])
+    assert (last.u[cap] == 1).all()
 
 
 def test_new_triangles_must_be_fit_where_the_motion_begins():
