@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from esfem_core.checks import (
     finite_array,
     function,
-    items,
     iterable,
     number,
     object_of,
@@ -111,25 +110,18 @@ def surface_animation(
         raise ValueError(f"div_id must be letters, digits, - and _, got {div_id!r}")
     if values is not None:
         function("values", values, "of a state, or None")
-    shots: list[Any] = list(iterable("states", states, "States"))
-    if not shots:
-        raise ValueError("states must hold at least one state, got none")
-    n = len(space.nodes)
-    for i, s in enumerate(shots):
+    n, frames = len(space.nodes), []
+    # Each state is looked at when it comes: those after it may take long.
+    for i, s in enumerate(iterable("states", states, "States")):
         if not hasattr(s, "x") or not hasattr(s, "t"):
             raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
         if values is None and not ("u" in s.fields if isinstance(s, State) else hasattr(s, "u")):
             raise TypeError(f"states[{i}] must have u, or values must be given, got {shown(s)}")
-        number(f"states[{i}].t", s.t)
-    frames = [
-        Shot(
-            space,
-            s.t,
-            finite_array("x", s.x, (n, 3)),
-            finite_array("values", s.u if values is None else values(s), (n,)),
-        )
-        for s in shots
-    ]
+        x = finite_array("x", s.x, (n, 3))
+        colours = finite_array("values", s.u if values is None else values(s), (n,))
+        frames.append(Shot(space, number(f"states[{i}].t", s.t), x, colours))
+    if not frames:
+        raise ValueError("states must hold at least one state, got none")
     return viewer(frames, title, label, div_id, duration)
 
 
@@ -192,14 +184,21 @@ def animate(
     string("title", title)
     if label is not None:
         string("label", label)
-    shots = [states] if isinstance(states, State) else items("states", states, State)
-    spaces = [known_space(s, f"states[{i}]") for i, s in enumerate(shots)]
-    named = [nodal_values(s, values) for s in shots]
-    label = named[0][0] if label is None else label
-    frames = [
-        Shot(space, s.t, s.x, colours)
-        for space, s, (_, colours) in zip(spaces, shots, named, strict=True)
-    ]
+    colour_range([], limits)
+    if file is not None and is_film:
+        drawable("title", title)
+        drawable("label", label or "")
+        _writer(file)
+    frames: list[Shot] = []
+    # Each state is looked at when it comes: those after it may take long.
+    each = [states] if isinstance(states, State) else iterable("states", states, "States")
+    for i, s in enumerate(each):
+        space = known_space(object_of(f"states[{i}]", s, State), f"states[{i}]")
+        called, colours = nodal_values(s, values)
+        label = called if label is None else label
+        frames.append(Shot(space, s.t, s.x, colours))
+    if label is None:
+        raise ValueError("states must hold at least one State, got none")
     if file is not None and is_film:
         return _film(file, frames, title, label, limits, duration)
     name = "esfem-animation" if file is None else re.sub(rf"(?!{IDENTIFIER}).", "-", file.stem)
@@ -211,6 +210,18 @@ def animate(
     return file
 
 
+def _writer(file: Path) -> Any:
+    """What writes a film, or an error if it is not there."""
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    writer = FFMpegWriter if file.suffix.lower() == ".mp4" else PillowWriter
+    if not writer.isAvailable():
+        raise ImportError(
+            'a film that ends with ".mp4" needs the program ffmpeg; ".gif" and ".html" do without'
+        )
+    return writer
+
+
 def _film(
     file: Path,
     shots: Sequence[Shot],
@@ -220,17 +231,10 @@ def _film(
     duration: int,
 ) -> Path:
     """Frame by frame with matplotlib."""
-    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.animation import FuncAnimation
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drawable("title", title)
-    drawable("label", label)
-    writer: Any = FFMpegWriter if file.suffix.lower() == ".mp4" else PillowWriter
-    if not writer.isAvailable():
-        raise ImportError(
-            'a film that ends with ".mp4" needs the program ffmpeg; ".gif" and ".html" do without'
-        )
     figure = Figure(figsize=(6, 5))
     FigureCanvasAgg(figure)
     ax = figure.add_subplot(projection="3d")
@@ -247,6 +251,6 @@ def _film(
     film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
     with TemporaryDirectory() as folder:
         made = Path(folder, f"film{file.suffix.lower()}")
-        film.save(made, writer=writer(fps=1000 / duration))
+        film.save(made, writer=_writer(file)(fps=1000 / duration))
         write_whole(file, made.read_bytes())
     return file

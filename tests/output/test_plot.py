@@ -197,6 +197,33 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_animate_refuses_before_a_run_has_gone_on(tmp_path, monkeypatch):
+    seen = []
+
+    def run():
+        for _ in range(3):
+            seen.append(state())
+            yield seen[-1]
+
+    monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
+    broken = r"$\frac{1}{2$"
+    for most, error, options in [
+        (0, ValueError, {"limits": (1, 0)}),
+        (0, ValueError, {"path": tmp_path / "film.gif", "title": broken}),
+        (0, ValueError, {"path": tmp_path / "film.gif", "label": broken}),
+        (0, ImportError, {"path": tmp_path / "film.mp4"}),
+        (1, ValueError, {"values": "none"}),
+        (1, ValueError, {"values": lambda s: np.ones(3)}),
+    ]:
+        seen.clear()
+        with pytest.raises(error):
+            ec.animate(run(), **options)
+        assert len(seen) == most
+    with pytest.raises(ValueError, match="values must"):
+        surface_animation(state().space, run(), lambda s: np.ones(3))
+    assert len(seen) == 2
+
+
 def test_a_film_that_is_interrupted_leaves_the_older_one(tmp_path, monkeypatch):
     def interrupted(writer):
         Path(writer.outfile).write_bytes(b"half a film")
