@@ -11,6 +11,7 @@ from esfem_core.solvers.multifrontal import BlockFactor, factorise
 from esfem_core.solvers.products import times, times_rows
 from esfem_core.solvers.systems import check_residual, right_hand_side
 from esfem_core.solvers.threads import (
+    BLAS_THREADS,
     MOST_THREADS,
     pieces,
     side_by_side,
@@ -19,6 +20,7 @@ from esfem_core.solvers.threads import (
 )
 
 __all__ = [
+    "BLAS_THREADS",
     "MOST_THREADS",
     "BlockFactor",
     "DirectSolver",

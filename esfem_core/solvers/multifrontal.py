@@ -103,8 +103,9 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
     if single is not None:
         return single
     double = _factorise(A, fronts, np.dtype(np.float64))
-    single = double.astype(np.dtype(np.float32))
-    return single if _leaves(1.0, single, A) else double
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond 1e38, seen below
+        single = double.astype(np.dtype(np.float32))
+        return single if _leaves(1.0, single, A) else double
 
 
 def _precision(dtype: DTypeLike) -> np.dtype:

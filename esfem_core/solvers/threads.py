@@ -22,7 +22,14 @@ from typing import Any, TypeVar
 
 from esfem_core.checks import whole_number
 
-__all__ = ["MOST_THREADS", "pieces", "side_by_side", "thread_count", "using_threads"]
+__all__ = [
+    "BLAS_THREADS",
+    "MOST_THREADS",
+    "pieces",
+    "side_by_side",
+    "thread_count",
+    "using_threads",
+]
 
 MOST_THREADS = 256
 BLAS_THREADS = (
