@@ -242,7 +242,9 @@ def _attempt(sent: Any, parameters: Parameters, code: str) -> Row | Failure:
     """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
     try:
         return _computed(loads(sent) if isinstance(sent, bytes) else sent, parameters, code)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # CancelledError and SystemExit, too
         return Failure(parameters, transportable(error))
 
 

@@ -440,5 +440,13 @@ def _sizes(name: str, values: ArrayLike) -> list[float]:
 def _check_comparable(problem: Problem, reference: State | None, measure: Measure) -> None:
     function("measure", measure, "measure(space, problem, state)")
     object_of("problem", problem, Problem)
-    if reference is None and problem.exact is None and measure in (compare, lifted):
+    exact = problem.exact
+    if reference is not None or measure not in (compare, lifted):
+        return
+    if exact is None:
         raise ValueError("problem must have an exact solution to compare with, but has none")
+    if measure is lifted and (exact.closest is None or exact.origin is None):
+        raise ValueError(
+            "measure=lifted needs an exact solution with closest points and origins: problem must "
+            "have Exact(x, v, u, closest, origin)"
+        )

@@ -36,6 +36,9 @@ from types import (
 from typing import Any
 
 import numpy as np
+import trimesh
+
+from esfem_core.elements import SurfaceSpace
 
 __all__ = ["code_hash", "code_of", "is_of_package", "reached"]
 
@@ -85,9 +88,9 @@ def code_of(function: Callable[..., Any]) -> str:
     """Hash of the code that decides what a function returns, of this package or of a user.
 
     For a user's function, other functions and classes of the user that it reaches count, and the
-    values of the names that it uses: numbers, strings, paths, arrays, and lists, dicts and
-    dataclasses of them, such as laws and problems. Other objects, such as spaces and meshes, count
-    by their class, other packages not at all.
+    values of the names that it uses: numbers, strings, paths, arrays, lists, dicts and dataclasses
+    of them, such as laws and problems, spaces, triangulations, and the attributes of objects of the
+    user's classes. Other objects count by their class, other packages not at all.
 
     Examples
     --------
@@ -157,10 +160,17 @@ class _Walk:
             self._add_all(
                 [type(value), {f.name: getattr(value, f.name, None) for f in fields(value)}]
             )
+        elif isinstance(value, SurfaceSpace):
+            self._add_all([value.nodes, value.cells, value.rule])
+        elif isinstance(value, trimesh.Trimesh):
+            self._add_all([np.array(value.vertices), np.array(value.faces)])
         else:
             self.add(type(value))
             inner = getattr(value, "__dict__", {})
-            self._add_all(inner[name] for name in WRAPPED if name in inner)
+            module = type(value).__module__
+            if _is_library(module) or _head(module) == PACKAGE.name:
+                inner = {name: inner[name] for name in WRAPPED if name in inner}
+            self.add(inner)
 
     def _add_all(self, values: Any) -> None:
         for value in values:

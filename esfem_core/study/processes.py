@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from esfem_core.checks import whole_number
+from esfem_core.solvers import BLAS_THREADS
 
 try:
     import cloudpickle
@@ -28,14 +29,7 @@ except ImportError:  # functions of a notebook then stay where they are
 
 __all__ = ["Processes", "WorkerLostError", "pickled", "transportable"]
 
-THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-)
+THREADS = ("OMP_NUM_THREADS", *BLAS_THREADS, "NUMEXPR_NUM_THREADS")
 """Variables that the libraries under NumPy and SciPy read when they are loaded."""
 
 _starting = threading.Lock()
@@ -85,6 +79,8 @@ def transportable(error: BaseException) -> Exception:
     where = "".join(traceback.format_exception(error))
     if isinstance(error, SystemExit):
         error = RuntimeError(f"the case ended with sys.exit({error.code!r})")
+    elif not isinstance(error, Exception):
+        error = RuntimeError(f"the case raised {type(error).__name__}: {error}")
     try:
         found = pickle.loads(pickle.dumps(error))
         if type(found) is not type(error) or str(found) != str(error):

@@ -8,6 +8,7 @@ that replaces the old one. What the parameters are decides which case a line is.
 import hashlib
 import json
 import os
+import shlex
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -99,6 +100,8 @@ def plain(name: str, value: Any) -> Any:
     TypeError: results['n'][0] must be a number, a string, a boolean, None, an array, or a list or
     a dict of those with strings as keys, got 1j
     """
+    if np.ma.isMaskedArray(value):
+        raise TypeError(f"{name} must hold numbers, but is masked: its holes have none")
     if isinstance(value, np.generic):
         value = value.item() if value.dtype.kind in "biuU" else _real(value)
     elif isinstance(value, np.ndarray):
@@ -352,7 +355,8 @@ def set_aside(unsaved: list[tuple[Store, Row]], reason: Exception) -> UnsavedRow
             lines = b"".join(_line(row) for other, row in unsaved if other is store)
             # It begins with an end of line, in case the other file does not end with one.
             (folder / store.path.name).write_bytes(b"\n" + lines)
-            advice.append(f"cat {folder / store.path.name} >> {store.path}")
+            paths = (shlex.quote(str(path)) for path in (folder / store.path.name, store.path))
+            advice.append("cat {} >> {}".format(*paths))
         text += f". They are kept; make room, then: {'; '.join(advice)}"
     except OSError:
         text += ", nowhere; this error has them in its `rows`"

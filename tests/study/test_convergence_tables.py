@@ -221,3 +221,23 @@ def test_an_order_that_rounds_to_zero_has_no_sign():
     table = ConvergenceTable.of("h", [0.2, 0.1], [{"area": 1.0}, {"area": 1.001}])
     assert str(table).split()[-1] == "0.00"
     assert table.orders("area")[0] < 0
+
+
+def test_lifted_errors_without_closest_points_are_refused_before_a_run():
+    called = []
+
+    def f(at):
+        called.append(at.t)
+        return np.zeros(at.density.shape)
+
+    exact = ec.Exact(lambda p, t: p.copy(), lambda p, t: 0 * p, lambda x, t: np.ones(len(x)))
+    rest = ec.laws.Prescribed(motion=lambda p, t: p.copy())
+    problem = ec.Problem(1.0, f=f, law=rest, exact=exact)
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    for refused in (
+        lambda: ec.study.time_study(space, problem, 1, [0.5, 0.25], 1.0, measure=ec.errors.lifted),
+        lambda: ec.study.space_study([space], problem, 1, 0.5, 1.0, measure=ec.errors.lifted),
+    ):
+        with pytest.raises(ValueError, match=r"measure=lifted needs .* closest points and origins"):
+            refused()
+    assert called == []

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import warnings
+from asyncio import CancelledError
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -223,14 +224,16 @@ def filling(folder):
 
 @posix
 def test_rows_without_room_are_set_aside_and_the_advice_brings_them_back(tmp_path):
-    ended(started(filling, tmp_path))
-    kept = sizes(tmp_path)
+    folder = tmp_path / "my results; 'all'"
+    folder.mkdir()
+    ended(started(filling, folder))
+    kept = sizes(folder)
     assert 0 < len(kept) < 6
-    assert (tmp_path / "rows").read_text() == str(sorted(set(range(6)) - set(kept)))
-    told, _, advice = (tmp_path / "error").read_text().partition("; make room, then: ")
+    assert (folder / "rows").read_text() == str(sorted(set(range(6)) - set(kept)))
+    told, _, advice = (folder / "error").read_text().partition("; make room, then: ")
     assert told.startswith(f"{6 - len(kept)} finished rows could not be written (File too large).")
     subprocess.run(advice, shell=True, check=True)
-    assert sizes(tmp_path) == list(range(6))
+    assert sizes(folder) == list(range(6))
 
 
 @posix
@@ -316,6 +319,22 @@ def test_errors_that_cannot_be_sent_are_told():
     found = transportable(OwnError(1, 2))
     assert (type(found), str(found)) == (RuntimeError, "OwnError: 1 and 2")
     assert json.dumps(str(transportable(ValueError("a"))))
+
+
+@pytest.mark.parametrize("kind", [CancelledError, GeneratorExit, SystemExit])
+@pytest.mark.parametrize("workers", [0, 1])
+def test_whatever_a_case_raises_ends_no_other(tmp_path, kind, workers):
+    def compute(size):
+        if size == 1:
+            raise kind("lost")
+        return {"y": size}
+
+    with pytest.warns(StudyWarning, match="1 of the cases failed"):
+        results = run(grid(size=range(3)), compute, tmp_path, workers=workers, progress=False)
+    assert [row.parameters["size"] for row in results.rows] == [0, 2]
+    [failure] = results.failures
+    assert type(failure.error) is RuntimeError
+    assert "lost" in str(failure.error)
 
 
 def test_a_pool_ends_when_it_is_shut_down():

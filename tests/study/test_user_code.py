@@ -145,9 +145,26 @@ class Colour(Enum):
     BLUE = 2
 
 
+class Model:
+    def __init__(self, rate):
+        self.rate = rate
+
+    def __call__(self, size):
+        return size * self.rate
+
+
+def space(refinements):
+    return ec.SurfaceSpace(ec.sphere("octahedron", refinements))
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        (Model(1), Model(2)),
+        (Model(space(0)), Model(space(1))),
+        (space(0), space(1)),
+        (space(0), ec.SurfaceSpace(ec.sphere("octahedron", 0), exactness=4)),
+        (ec.sphere("octahedron", 0), ec.sphere("octahedron", 1)),
         (Fraction(1, 3), Fraction(2, 3)),
         (Decimal("0.1"), Decimal("0.2")),
         (b"a", b"b"),
@@ -178,6 +195,19 @@ def test_another_value_of_a_name_is_other_code(old, new):
 
     assert code_of(make(old)) == code_of(make(old))
     assert code_of(make(old)) != code_of(make(new))
+
+
+def test_a_method_depends_on_the_attributes_of_its_object():
+    assert code_of(Model(1).__call__) == code_of(Model(1).__call__)
+    assert code_of(Model(1).__call__) != code_of(Model(2).__call__)
+
+
+def test_what_a_space_or_a_mesh_has_computed_in_the_meantime_does_not_count():
+    used, tri = space(1), ec.sphere("octahedron", 1)
+    before = code_of(lambda: (used, tri))
+    assert used.fronts
+    assert tri.area
+    assert code_of(lambda: (used, tri)) == before
 
 
 def test_recursion_ends():
