@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 import esfem_core as ec
 from esfem_core.checks import Array, one_of, whole_number
+from esfem_core.problems import Coupling
 from esfem_core.stepping import Mass, exact_state
 from esfem_core.study import Experiment
 
@@ -20,7 +21,9 @@ TIMES = (0.5, 1.0)
 AXES = np.array([1.0, 0.8, 0.6])  # of the ellipsoid
 
 
-def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> dict[str, Any]:
+def compare_masses(
+    *, refinements: int, steps_per_unit: int, order: int = 3, coupling: Coupling = "smooth"
+) -> dict[str, Any]:
     """Solve the expanding sphere with the three mass terms and compare.
 
     Norms are (L2^2 + H1 seminorm^2)^{1/2}, as in Figure 5. Quadratic elements on an octahedron,
@@ -34,6 +37,8 @@ def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> 
         1/tau, even.
     order : int
         p.
+    coupling : {"smooth", "printed"}
+        As for :func:`esfem_core.problems.expanding_sphere`.
 
     Returns
     -------
@@ -60,7 +65,7 @@ def compare_masses(*, refinements: int, steps_per_unit: int, order: int = 3) -> 
     if steps_per_unit % 2:
         raise ValueError(f"steps_per_unit must be even, to meet t = 1/2, got {steps_per_unit}")
     space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), 2, ec.to_unit_sphere)
-    problem = ec.problems.expanding_sphere("smooth")
+    problem = ec.problems.expanding_sphere(coupling)
     runs = [
         ec.evolve(space, problem, order, 1 / steps_per_unit, 1.0, mass=mass, start="exact")
         for mass in MASSES
@@ -221,6 +226,13 @@ EXPERIMENTS = [
                 for n in (20, 40, 80, 160, 320, 640)[: 6 if r < 6 else 5]
             ]
             for r in (2, 3, 4, 5, 6)
+        ]
+        + [
+            [
+                {"refinements": r, "steps_per_unit": n, "coupling": "printed"}
+                for n in (20, 40, 80, 160, 320)
+            ]
+            for r in (3, 4, 5)
         ],
     ),
     Experiment(
