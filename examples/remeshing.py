@@ -10,9 +10,9 @@ import esfem_core as ec
 warnings.filterwarnings("ignore", category=ec.EvolutionWarning)  # thin triangles are the subject
 
 
-def remeshing(space, problem, p, step, end, angle, h, ratio=np.inf):
+def remeshing(space, problem, p, step, end, angle, h, ratio=np.inf, **options):
     """The states of a run, which goes on from p new states when angles or areas tell it to."""
-    run, states, first = ec.evolve(space, problem, p, step, end), [], None
+    run, states, first = ec.evolve(space, problem, p, step, end, **options), [], None
     while run:
         rest, run = run, None
         for state in rest:
@@ -23,7 +23,8 @@ def remeshing(space, problem, p, step, end, angle, h, ratio=np.inf):
             if len(states) == p and state.t < end and worn:
                 states = ec.remeshed(states, h, problem)
                 first = states[-1]
-                run = ec.evolve(first.space, problem, p, step, end, start=states)
+                options["start"] = states
+                run = ec.evolve(first.space, problem, p, step, end, **options)
                 run = islice(run, p, None)  # the first p are those it starts from
                 break
 
