@@ -89,8 +89,9 @@ def assembly_dolfinx(repeats=15):
             pairs, faults = [], []
             with using_threads(threads):
                 for _ in range(repeats + 1):
+                    peer.assemble()  # fill the caches again, for either side
                     theirs = peer.assemble()
-                    space.mass_stiffness(x)  # fill the caches again
+                    space.mass_stiffness(x)
                     before = page_faults()
                     pairs.append([theirs, seconds(space.mass_stiffness, x)])
                     faults.append(page_faults() - before)
@@ -206,7 +207,7 @@ def run(states, n):
 
 
 def implicit_euler(steps=200, blocks=10):
-    """[LMV]'s 10^4 implicit Euler steps on 4,098 linear nodes, by the step."""
+    """Implicit Euler steps as in [LMV], on 4,098 linear nodes of their ellipsoid."""
     space = sphere(5, degree=1)
 
     def motion(p, t):
@@ -282,31 +283,41 @@ def factorisations(repeats=9):
     return rows
 
 
-def breakdown(steps=40):
-    """Where the time of a step goes, by timing the calls inside it."""
+def breakdown(blocks=8, length=5):
+    """Where the time of a step goes, by timing the calls inside it, with two solvers in turn."""
     rows = []
     for refinements in (4, 6):
+        space, problem = sphere(refinements), ec.problems.expanding_sphere()
+        end, runs = (blocks * (length + 1) + 10) * 1e-3, {}
         for solver in ("lagged", "cholmod"):
-            space, problem = sphere(refinements), ec.problems.expanding_sphere()
             options = {"mass": "extrapolated", "solver": solver}
-            states = ec.evolve(space, problem, 3, 1e-3, (steps + 10) * 1e-3, **options)
-            run(states, 10)
-            spent = dict.fromkeys(("assembly", "loads", "solve for v", "solve for u"), 0.0)
-            with (
-                # The pass over the elements makes matrices, normals, points and gradients.
-                timed(SurfaceSpace, "assemble", spent, lambda *_: "assembly"),
-                timed(SurfaceSpace, "evaluate", spent, lambda *_: "assembly"),
-                timed(SurfaceSpace, "load_with", spent, lambda *_: "loads"),
-                timed(
-                    LaggedSolver, "solve", spent, lambda A, b, _: f"solve for {'uv'[b.ndim - 1]}"
-                ),
-            ):
-                total = run(states, steps)
-            spent["rest"] = total - sum(spent.values())
-            per_step = {name: seconds / steps for name, seconds in spent.items()}
+            runs[solver] = ec.evolve(space, problem, 3, 1e-3, end, **options)
+            run(runs[solver], 9)
+        parts = ("assembly", "loads", "solve for v", "solve for u", "rest")
+        spent = {solver: dict.fromkeys(parts, 0.0) for solver in runs}
+        for _ in range(blocks):
+            for solver, states in runs.items():
+                run(states, 1)  # fill the caches again
+                add_parts(states, length, spent[solver])
+        for solver, sums in spent.items():
+            per_step = {name: total / (blocks * length) for name, total in sums.items()}
             rows.append(per_step | {"nodes": len(space.nodes), "solver": solver})
             print(rows[-1], flush=True)
     return rows
+
+
+def add_parts(states, n, spent):
+    """Add the time of the parts of n steps."""
+    before = sum(spent.values())
+    with (
+        # The pass over the elements makes matrices, normals, points and gradients.
+        timed(SurfaceSpace, "assemble", spent, lambda *_: "assembly"),
+        timed(SurfaceSpace, "evaluate", spent, lambda *_: "assembly"),
+        timed(SurfaceSpace, "load_with", spent, lambda *_: "loads"),
+        timed(LaggedSolver, "solve", spent, lambda A, b, _: f"solve for {'uv'[b.ndim - 1]}"),
+    ):
+        total = run(states, n)
+    spent["rest"] += total - (sum(spent.values()) - before)
 
 
 @contextmanager
