@@ -145,6 +145,8 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     Parameters
     ----------
     space : SurfaceSpace
+        Whose nodes are the initial positions: on new triangles, that of ``remeshed(states, h,
+        problem)``, with the problem.
     problem : Problem
         With an exact solution.
     state : State
