@@ -89,8 +89,9 @@ def code_of(function: Callable[..., Any]) -> str:
 
     For a user's function, other functions and classes of the user that it reaches count, and the
     values of the names that it uses: numbers, strings, paths, arrays, lists, dicts and dataclasses
-    of them, such as laws and problems, spaces, triangulations, and the attributes of objects of the
-    user's classes. Other objects count by their class, other packages not at all.
+    of them, such as laws and problems, spaces, triangulations, and the attributes of other objects
+    of the user's classes and of this package. What is left counts by its class, other packages not
+    at all.
 
     Examples
     --------
@@ -166,11 +167,7 @@ class _Walk:
             self._add_all([np.array(value.vertices), np.array(value.faces)])
         else:
             self.add(type(value))
-            inner = getattr(value, "__dict__", {})
-            module = type(value).__module__
-            if _is_library(module) or _head(module) == PACKAGE.name:
-                inner = {name: inner[name] for name in WRAPPED if name in inner}
-            self.add(inner)
+            self.add(_attributes(value))
 
     def _add_all(self, values: Any) -> None:
         for value in values:
@@ -206,6 +203,16 @@ class _Walk:
                 while rest and isinstance(found, ModuleType) and not _is_library(found.__name__):
                     found = getattr(found, rest.pop(0), None)
                 self.add(found)
+
+
+def _attributes(value: Any) -> dict[str, Any]:
+    """What tells an object from others of its class: of this package, what is no cache of it."""
+    inner, module = getattr(value, "__dict__", {}), type(value).__module__
+    if _is_library(module):
+        return {name: inner[name] for name in WRAPPED if name in inner}
+    if _head(module) == PACKAGE.name:
+        return {name: part for name, part in inner.items() if not name.startswith("_")}
+    return dict(inner)
 
 
 def _enclosed(function: Any) -> dict[str, Any]:

@@ -145,6 +145,9 @@ class Colour(Enum):
     BLUE = 2
 
 
+LAW = ec.laws.Regularised(1, 1)
+
+
 class Model:
     def __init__(self, rate):
         self.rate = rate
@@ -161,6 +164,8 @@ def space(refinements):
     ("old", "new"),
     [
         (Model(1), Model(2)),
+        (ec.laws.with_slip(LAW, "elastic"), ec.laws.with_slip(LAW, "harmonic")),
+        (ec.laws.with_slip(LAW, np.sin), ec.laws.with_slip(LAW, np.cos)),
         (Model(space(0)), Model(space(1))),
         (space(0), space(1)),
         (space(0), ec.SurfaceSpace(ec.sphere("octahedron", 0), exactness=4)),
