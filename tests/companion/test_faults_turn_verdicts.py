@@ -189,6 +189,13 @@ FAULTS = [
         "(h**2 * (curved + h * plain))",
         "(h**3 * (curved + h * plain))",
     ),
+    # the gradient in the place of the second derivatives, in the corrected form as well
+    (
+        "07",
+        "N-6.2-maximum",
+        "f in (eta_gradient, eta_second))",
+        "f in (eta_gradient, eta_gradient))",
+    ),
     # a stretching motion beside the one whose velocity is used
     (
         "07",
