@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Bools, Ints
 
@@ -26,9 +27,11 @@ __all__ = [
 ]
 
 PROBES = 3  # points of a component by which it is found inside another
-ENCLOSED = 0.75  # smallest winding number of a point inside; on the surface it is 0.5
 FLAT = 1e-12  # largest volume over area times diameter that is none
+SAME = 1e-6  # distance of components at one place, over their diagonal: files have six digits
 CHUNK = 2**18  # pairs of points and triangles at a time
+ALONG = np.linalg.qr([[0.3127, 1, 0], [0.5413, 0, 1], [0.7805, 0, 0]])[0][:, [1, 2, 0]]
+"""Axes of which the last is the direction of a ray, to be multiplied from the right."""
 
 
 class Sides(NamedTuple):
@@ -206,14 +209,15 @@ def coincident(vertices: Array, faces: Ints, label: Ints) -> tuple[int, int] | N
     count = int(label.max()) + 1
     if count == 1:
         return None
-    boxes = np.hstack(_boxes(vertices, faces, label, count))
-    _, box, times = np.unique(boxes, axis=0, return_inverse=True, return_counts=True)
-    places: dict[bytes, int] = {}
-    for c in np.flatnonzero(times[box.ravel()] > 1).tolist():
-        place = np.unique(vertices[faces[label == c].ravel()] + 0.0, axis=0).tobytes()  # 0 of -0
-        if place in places:
-            return places[place], c
-        places[place] = c
+    low, high = _boxes(vertices, faces, label, count)
+    reach = SAME * np.linalg.norm(high - low, axis=1)
+    boxes = np.hstack([low, high])
+    for c, others in enumerate(cKDTree(boxes).query_ball_point(boxes, np.sqrt(6) * reach)):
+        for other in sorted(o for o in others if o > c):
+            own, there = (np.unique(faces[label == n]) for n in (c, other))
+            gap, _ = cKDTree(vertices[there]).query(vertices[own])
+            if len(own) == len(there) and (gap <= reach[c]).all():
+                return c, other
     return None
 
 
@@ -240,10 +244,11 @@ def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
 
 
 def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:
-    """How often a closed surface winds around points: 1 inside, 0 outside, 1/2 on it.
+    """How often a closed surface winds around points: 1 inside, 0 outside.
 
-    The sum of the solid angles under which the triangles are seen, over 4 pi, by the formula of
-    Van Oosterom and Strackee (1983).
+    A ray from the point, in a direction that no mesh has, leaves the surface so many times more
+    often than it enters. Seen along it, a triangle is crossed where the point lies on the same side
+    of its three edges. On the surface itself the number is that of one side or the other.
 
     Parameters
     ----------
@@ -259,19 +264,26 @@ def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:
     --------
     >>> import esfem_core as ec
     >>> tri = ec.sphere("octahedron", 1)
-    >>> w = winding_numbers(np.array([[0, 0, 0.5], [0, 0, 2]]), tri.vertices, tri.faces)
-    >>> np.allclose(w, [1, 0], atol=1e-14)
-    True
+    >>> winding_numbers(np.array([[0, 0, 0.5], [0, 0, 2]]), tri.vertices, tri.faces).tolist()
+    [1.0, 0.0]
     """
-    corners = np.asarray(vertices)[faces].transpose(1, 0, 2)  # (3, T, 3)
+    origin = np.asarray(vertices)[faces[0, 0]]
+    corners = ((vertices - origin) @ ALONG)[faces].transpose(1, 2, 0)  # (3, 3, T): corner, axis
+    seen = (points - origin) @ ALONG
+    begin, end = np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0)  # sides opposite
+    x, y = (end - begin)[:, :2].transpose(1, 0, 2)
+    lines = np.stack([-y, x, y * begin[:, 0] - x * begin[:, 1]], axis=2)  # (3, T, 3)
     step = max(1, CHUNK // len(faces))
     out = np.empty(len(points))
     for n in range(0, len(points), step):
-        a, b, c = corners[:, None] - points[n : n + step, None]
-        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-        triple = (a * np.cross(b, c)).sum(axis=2)
-        others = (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
-        out[n : n + step] = np.arctan2(triple, la * lb * lc + others).sum(axis=1) / (2 * np.pi)
+        p = seen[n : n + step]
+        left = lines @ np.stack([p[:, 0], p[:, 1], np.ones(len(p))])  # (3, T, step)
+        t, i = np.nonzero((left > 0).all(axis=0) | (left < 0).all(axis=0))
+        share = left[:, t, i]
+        total = share.sum(axis=0)
+        height = (share * corners[:, 2, t]).sum(axis=0) / total
+        crossed = np.sign(total) * (height > p[i, 2])
+        out[n : n + step] = np.bincount(i, crossed, minlength=len(p))
     return out
 
 
@@ -301,5 +313,5 @@ def _depths(vertices: Array, faces: Ints, label: Ints, low: Array, high: Array) 
         if len(inner):
             own = faces[order[ends[outer] - sizes[outer] : ends[outer]]]
             w = winding_numbers(probes[inner].reshape(-1, 3), vertices, own)
-            depth[inner] += np.median(np.abs(w.reshape(-1, PROBES)), axis=1) > ENCLOSED
+            depth[inner] += np.median(np.abs(w.reshape(-1, PROBES)), axis=1) > 0
     return depth
