@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Bools, Ints, shown
+from esfem_core.surfaces.folds import folded
 from esfem_core.surfaces.orientation import (
     Sides,
     coincident,
@@ -80,7 +81,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     triangles with three different corners and an area; every edge in two triangles; neighbours
     oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
-    oriented outwards, or inwards if it is a cavity.
+    oriented outwards, or inwards if it is a cavity; no triangle lying on its neighbour.
 
     Parameters
     ----------
@@ -115,6 +116,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         or _of_neighbours(faces, sides)
         or _of_fans(len(vertices), faces, sides)
         or _of_shells(vertices, faces, sides)
+        or _of_folds(vertices, faces, sides)
     )
 
 
@@ -340,4 +342,17 @@ def _of_shells(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
         f"{kind} {c} of {count}, with triangle {t}, is oriented inwards (enclosed volume "
         f"{volume:.3g}), but is no cavity of another",
         "turn it",
+    )
+
+
+def _of_folds(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
+    pairs = folded(vertices, faces, sides)
+    if len(pairs) == 0:
+        return None
+    one, other = pairs[0]
+    return Fault(
+        f"triangles {one // 3} and {other // 3} lie on each other: the surface is folded along "
+        f"edge ({sides.start[one]}, {sides.end[one]}) ({len(pairs)} such edges)",
+        "have it cut into triangles by the program that made it: of polygons that are not convex, "
+        "files tell the corners only",
     )

@@ -23,9 +23,12 @@ from esfem_core.surfaces.faults import (
     flat_triangles,
     repeated_corners,
 )
+from esfem_core.surfaces.folds import unfolded
+from esfem_core.surfaces.lids import lid_of, rims
 from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree
 
 __all__ = [
+    "NEAR",
     "Repaired",
     "check_coordinates",
     "counted",
@@ -53,10 +56,12 @@ def repair(
     1. triangles with corners that are missing or not finite are dropped, then vertices without
        triangles;
     2. vertices at one place become one, whatever their texture or normal (first equal ones, then
-       those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it);
+       those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it
+       and no proper triangle vanishes);
     3. triangles with a corner twice are dropped, of those with the same three corners one is
        kept, or none if they face each other; triangles without area are flipped away;
-    4. neighbours are oriented alike, most triangles staying as they are;
+    4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
+       into triangles which lie on each other, as those that are not convex, are cut anew;
     5. holes of up to `holes` edges are filled without new vertices, with the smallest area;
     6. where surfaces touch in a vertex or an edge, each gets its own, moved apart by a
        thousandth of the triangles, so that no later merging joins them;
@@ -120,7 +125,8 @@ def repair(
             f"tri cannot be repaired: {left.text}; {_next(vertices, faces, left, holes)}"
         )
     made = trimesh.Trimesh(result.vertices, result.faces, process=False, metadata=tri.metadata)
-    made.units = tri.units
+    if tri.units is not None:  # trimesh makes text of None
+        made.units = tri.units
     return made
 
 
@@ -171,7 +177,11 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
     if len(faces) > 0:
         faces = _flip_flat(vertices, faces, steps)
         faces = _agree(faces, steps)
+        faces, count = unfolded(vertices, faces)
+        if count:
+            steps.append(f"cut {counted(count, 'polygon')} anew, which lay on themselves")
         faces = _fill(vertices, faces, holes, steps)
+        faces = _flip_flat(vertices, faces, steps)
         vertices, faces = _split(vertices, faces, steps)
         vertices, faces = without_unused(vertices, _turn(vertices, faces, steps), [])
     return Repaired(vertices, faces, steps)
@@ -217,14 +227,14 @@ def merged(points: Array, distance: float) -> Ints:
 def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
     """Advice for what a repair leaves: larger lids where they would do."""
     sides = sides_of(repaired(vertices, faces, 0).faces)
-    rims = [len(rim) for rim in _rims(sides.start, sides.end, sides.times == 1)]
-    largest = max(rims, default=0)
+    lengths = [len(rim) for rim in rims(sides.start, sides.end, sides.times == 1)]
+    largest = max(lengths, default=0)
     if holes < largest <= LID:
         attempt = repaired(vertices, faces, largest)
         if fault(attempt.vertices, attempt.faces) is None:
             return (
-                f"the theory is for closed surfaces, and {counted(len(rims), 'hole')} of up to "
-                f"{largest} edges {'is' if len(rims) == 1 else 'are'} open: "
+                f"the theory is for closed surfaces, and {counted(len(lengths), 'hole')} of up to "
+                f"{largest} edges {'is' if len(lengths) == 1 else 'are'} open: "
                 f"tri = ec.repair(tri, holes={largest}) puts lids on them"
             )
     return left.advice
@@ -246,14 +256,26 @@ def _without_copies(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
     of them a cavity of the other.
     """
     known = np.flatnonzero(((faces >= 0) & (faces < len(vertices))).all(axis=1))
-    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].ravel()[faces[known]]
+    places = _places(vertices, faces[known])[faces[known]]
     first = places.argmin(axis=1)  # the corner to begin with
     turned = np.take_along_axis(places, (first[:, None] + np.arange(3)) % 3, axis=1)
     again = np.ones(len(known), dtype=bool)
     again[np.unique(turned, axis=0, return_index=True)[1]] = False
+    again &= ~repeated_corners(places)  # smaller than the distance
     if again.any():
         steps.append(f"dropped {counted(again.sum(), 'triangle')} at the places of others")
     return np.delete(faces, known[again], axis=0)
+
+
+def _places(vertices: Array, faces: Ints) -> Ints:
+    """Number of the first of the corners at each vertex's place, (n,), to rounding."""
+    used = np.unique(faces)
+    used = used[np.isfinite(vertices[used]).all(axis=1)]
+    place = np.arange(len(vertices))
+    if len(used):
+        near = NEAR[-1] * float(np.linalg.norm(np.ptp(vertices[used], axis=0)))
+        place[used] = used[merged(vertices[used], near)]
+    return place
 
 
 def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
@@ -264,7 +286,11 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
         x, f = vertices, faces
         said: list[str] = []
         if near is not None:
-            f = merged(x, near * diagonal)[f]
+            place = merged(x, near * diagonal)
+            gone = repeated_corners(place[f]) & ~repeated_corners(f)
+            if near and (gone & ~flat_triangles(x, f)).any():
+                continue  # that is no rounding: proper triangles would vanish
+            f = place[f]
             count = len(np.unique(f))
             if count < len(x):
                 what = f"within {near * diagonal:.1g}" if near else "at the same places"
@@ -354,8 +380,8 @@ def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
         return faces
     taken = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
     sizes, lids = [], []
-    for rim in _rims(sides.start, sides.end, sides.times == 1):
-        if len(rim) <= holes and (lid := _lid(vertices, rim, taken)):
+    for rim in rims(sides.start, sides.end, sides.times == 1):
+        if len(rim) <= holes and (lid := lid_of(vertices, rim, taken)):
             sizes.append(len(rim))
             lids += lid
     if lids:
@@ -364,76 +390,6 @@ def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
         steps.append(f"filled {counted(n, 'hole')} of {upto}{largest} edges with {added}")
         faces = np.vstack([faces, lids])
     return faces
-
-
-def _rims(start: Ints, end: Ints, is_open: Bools) -> Iterator[list[int]]:
-    """Closed loops of open sides, each as its vertices in the direction that a lid needs.
-
-    A walk from side to side; where it comes back to a vertex it has passed, the loop since then
-    is cut off.
-    """
-    after: dict[int, list[int]] = {}
-    for i, j in zip(start[is_open].tolist(), end[is_open].tolist(), strict=True):
-        after.setdefault(j, []).append(i)
-    for begin in list(after):
-        walk, place = [begin], {begin: 0}
-        while walk:
-            ways = after.get(walk[-1])
-            if not ways:
-                del place[walk.pop()]
-                continue
-            vertex = ways.pop()
-            if vertex not in place:
-                place[vertex] = len(walk)
-                walk.append(vertex)
-                continue
-            n = place[vertex]
-            yield walk[n:]
-            for passed in walk[n + 1 :]:
-                del place[passed]
-            del walk[n + 1 :]
-
-
-def _lid(
-    vertices: Array, rim: list[int], taken: set[tuple[int, int]]
-) -> list[tuple[int, int, int]]:
-    """Triangles of the smallest area that fill a loop; [] if there are none.
-
-    Dynamic programming over the parts of the loop from i to j (Barequet and Sharir 1995): the
-    best triangle on the chord from i to j has its third corner m between them. Chords that are
-    edges of the surface already are not allowed, and flat triangles are the last resort.
-    """
-    n = len(rim)
-    x = vertices[rim] - vertices[rim[0]]
-    cost, third = np.full((n, n), np.inf), np.zeros((n, n), dtype=np.int64)
-    cost[np.arange(n - 1), np.arange(1, n)] = 0
-    scale = float((np.ptp(x, axis=0) ** 2).sum())
-    for length in range(2, n):
-        for i in range(n - length):
-            j = i + length
-            closing = length == n - 1
-            if not closing and {(rim[i], rim[j]), (rim[j], rim[i])} & taken:
-                continue
-            m = np.arange(i + 1, j)
-            a, b, c = x[i], x[m], x[j]
-            area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-            squares = ((b - a) ** 2 + (c - b) ** 2).sum(axis=1) + ((c - a) ** 2).sum()
-            flat = area < 1e-6 * squares
-            total = cost[i, m] + cost[m, j] + area + 1e3 * scale * flat
-            best = int(np.argmin(total))
-            cost[i, j], third[i, j] = total[best], m[best]
-    if not np.isfinite(cost[0, n - 1]):
-        return []
-    lid, parts = [], [(0, n - 1)]
-    while parts:
-        i, j = parts.pop()
-        if j - i < 2:
-            continue
-        between = int(third[i, j])
-        lid.append((rim[i], rim[between], rim[j]))
-        taken |= {(rim[i], rim[j]), (rim[j], rim[i])}
-        parts += [(i, between), (between, j)]
-    return lid
 
 
 def _split(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:

@@ -173,6 +173,92 @@ def test_of_copies_of_a_surface_one_is_kept(copies):
     ec.check_triangulation(whole)
 
 
+@pytest.mark.parametrize("tri", [ec.sphere("octahedron", 2), ec.torus(1, 0.4, 24, 12)])
+@pytest.mark.parametrize("digits", [None, 6])
+def test_of_a_body_and_itself_turned_one_is_kept(tri, digits):
+    again = tri.copy()
+    again.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]))
+    if digits:
+        again.vertices = again.vertices.round(digits)
+    both = joined(tri, again)
+    with pytest.raises(ValueError, match=r"lie at the same place; tri = ec\.repair.* helps"):
+        ec.check_triangulation(both)
+    assert repaired(both)[0].volume == pytest.approx(tri.volume, rel=1e-12)
+
+
+def cut_along_a_side(tri, t):
+    """Of the two triangles at a side of triangle t only one is cut in its middle."""
+    a, b, c = tri.faces[t]
+    middle = (tri.vertices[a] + tri.vertices[b]) / 2
+    n = len(tri.vertices)
+    faces = np.vstack([np.delete(tri.faces, t, axis=0), [[a, n, c], [n, b, c]]])
+    return mesh(np.vstack([tri.vertices, middle]), faces)
+
+
+@pytest.mark.parametrize("times", [1, 10])
+def test_a_node_on_one_side_of_an_edge_only_is_taken_into_the_other(times):
+    tri = SPHERE
+    for i in range(times):
+        tri = cut_along_a_side(tri, 5 * i)
+    again, _ = repaired(tri)
+    assert again.volume == pytest.approx(SPHERE.volume, rel=1e-12)
+    assert again.area == pytest.approx(SPHERE.area, rel=1e-12)
+
+
+@pytest.mark.parametrize("far", [ec.sphere().apply_scale(1e7), mesh(np.eye(3), [[0, 1, 2]])])
+def test_what_lies_far_away_does_not_make_one_vertex_of_a_body(far):
+    opened = mesh(SPHERE.vertices, SPHERE.faces[1:])
+    far = far.copy().apply_translation([2e7, 0, 0])
+    again, _ = repaired(joined(opened, far), holes=40)
+    near = again.vertices[:, 0] < 1e6
+    assert near.sum() == len(SPHERE.vertices)
+
+
+def test_a_unit_stays_and_none_is_made_up():
+    opened = mesh(SPHERE.vertices, SPHERE.faces[1:])
+    assert repaired(opened)[0].units is None
+    opened.units = "millimeters"
+    assert repaired(opened)[0].units == "millimeters"
+
+
+LETTER = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
+
+
+def prism(polygon, begin=0):
+    """A prism of height 1 whose polygons are cut from their corner `begin`, as readers do."""
+    n = len(polygon)
+    rows = [np.roll(np.arange(n)[::-1], begin), np.roll(np.arange(n, 2 * n), begin)]
+    rows += [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
+    faces = [[row[0], row[i], row[i + 1]] for row in rows for i in range(1, len(row) - 1)]
+    return mesh([(*p, z) for z in (0, 1) for p in polygon], faces)
+
+
+@pytest.mark.parametrize("begin", range(6))
+def test_a_polygon_that_is_not_convex_has_its_own_area(begin):
+    tri = prism(LETTER, begin)
+    assert tri.volume == pytest.approx(3)
+    if tri.area > 14.1:
+        with pytest.raises(ValueError, match=r"lie on each other: .* tri = ec\.repair.* helps"):
+            ec.check_triangulation(tri)
+    again, _ = repaired(tri)
+    assert (again.volume, again.area) == pytest.approx((3, 14))
+
+
+def test_of_many_stars_few_keep_a_wrong_area():
+    rng = np.random.default_rng(0)
+    wrong = []
+    for _ in range(60):
+        angle = np.sort(rng.uniform(0, 2 * np.pi, 7))
+        if np.diff(angle, append=angle[0] + 2 * np.pi).max() > np.pi:
+            continue
+        x, y = rng.uniform(0.2, 1, 7) * [np.cos(angle), np.sin(angle)]
+        sides = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).sum()
+        exact = sides + x @ np.roll(y, -1) - y @ np.roll(x, -1)
+        wrong.append(abs(repaired(prism(np.stack([x, y], axis=1)))[0].area - exact) > 1e-9)
+    assert len(wrong) > 40
+    assert sum(wrong) <= 1  # triangles without area can hide that others lie on each other
+
+
 def test_sheets_beside_a_body_are_dropped():
     sheet = mesh([[5.0, 0, 0], [6, 0, 0], [5, 1, 0]], [[0, 1, 2]])
     whole, said = repaired(joined(SPHERE, sheet))
