@@ -238,8 +238,10 @@ class SurfaceSpace:
             if found.text.startswith("the surface is not closed"):
                 advice = (
                     "neighbours must share their nodes, and SurfaceSpace.read makes one of nodes "
-                    f"at the same place{boundary_advice(nodes[corners], faces)}"
+                    f"nearer than 1e-8 of the diagonal{boundary_advice(nodes[corners], faces)}"
                 )
+            elif found.text.startswith("the surface is not a manifold"):
+                advice = "keep those elements that bound the body, each once: cells = cells[keep]"
             raise ValueError(
                 f"cells must have corners that make a fit triangulation, but {found.text}; {advice}"
             )
@@ -265,7 +267,8 @@ class SurfaceSpace:
             Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install "esfem-core[files]"``);
             elements of one degree, their nodes in the order that meshio gives them. Nodes outside
             of all elements are left out, and where neighbours do not share nodes, those at equal
-            places become one.
+            places become one, or within 1e-8 of the diagonal. Of an element given twice one is
+            kept.
         exactness : int, optional
             As for the class.
         report : callable, optional

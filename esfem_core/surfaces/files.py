@@ -30,6 +30,7 @@ from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.repair import (
+    NEAR,
     check_coordinates,
     counted,
     merged,
@@ -42,6 +43,11 @@ __all__ = ["Elements", "curved_elements", "read_mesh"]
 BY_TRIMESH = (
     *("stl", "stl_ascii", "ply", "obj", "off", "glb", "gltf", "3mf", "dae", "zae", "xaml"),
     *("3dxml", "ctm", "step", "stp", "zip"),
+)
+BY_MESHIO = (
+    *("avs", "bdf", "cgns", "dat", "dato", "e", "ele", "ex2", "exo", "f3grid", "fem", "h5m", "hmf"),
+    *("inp", "mdpa", "med", "mesh", "meshb", "msh", "nas", "node", "post", "su2", "tec"),
+    *("ugrid", "vol", "vtk", "vtu", "wkt", "xdmf", "xmf", "xml"),
 )
 VTK_CELLS = {5: "triangle", 7: "polygon", 9: "quad", 10: "tetra", 12: "hexahedron", 22: "triangle"}
 VTK_CELLS |= {69: "triangle"}
@@ -137,9 +143,11 @@ def read_mesh(
         )
     vertices, faces = found.points, _triangles(found)
     if len(faces) == 0:
-        kinds = ", ".join(sorted({kind for kind, _ in found.cells})) or "points only"
+        kinds = ", ".join(sorted({kind for kind, _ in found.cells}))
+        empty = len(vertices) == 0 and not found.notes
+        kinds = kinds or ("nothing that can be read" if empty else "points only")
         raise ValueError(
-            f"{found.name} holds no triangles ({kinds}): write the surface with the program that "
+            f"{found.name} holds no triangles ({kinds}); write the surface with the program that "
             "made it"
         )
     steps = found.notes
@@ -190,7 +198,7 @@ def curved_elements(source: Any) -> Elements:
     """Nodes and Lagrange triangles of one degree, for :meth:`esfem_core.SurfaceSpace.read`.
 
     Nodes that belong to no element are left out; if elements do not share nodes, those at equal
-    places become one.
+    places become one, or within 1e-8 of the diagonal. Of an element given twice one is kept.
 
     Parameters
     ----------
@@ -231,14 +239,36 @@ def curved_elements(source: Any) -> Elements:
             f"{t} of {found.name} has node {cells[t][wrong[t]][0]}"
         )
     nodes, cells = without_unused(found.points, cells, found.notes)
-    if (sides_of(cells[:, :3]).times == 1).any():
-        place = merged(nodes, 0)[cells]
-        if len(np.unique(place)) < len(nodes):
-            found.notes.append(
-                f"merged {len(nodes)} nodes into {len(np.unique(place))} at the same places"
-            )
-            nodes, cells = without_unused(nodes, place, [])
+    nodes, cells = _with_shared_nodes(nodes, cells, found.notes)
+    _, once = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
+    if len(once) < len(cells):
+        found.notes.append(f"dropped {counted(len(cells) - len(once), 'element')} given before")
+        cells = cells[np.sort(once)]
     return found._replace(points=nodes, cells=[("triangle", cells)])
+
+
+def _with_shared_nodes(nodes: Array, cells: Ints, notes: list[str]) -> tuple[Array, Ints]:
+    """Nodes at one place as one, to rounding, where neighbours do not share those on their edge."""
+    diagonal = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    for near in NEAR[:2]:
+        if _share_nodes(cells):
+            break
+        place = merged(nodes, near * diagonal)[cells]
+        count = len(np.unique(place))
+        if count < len(nodes):
+            where = f"within {near * diagonal:.1g}" if near else "at the same places"
+            notes.append(f"merged {len(nodes)} nodes into {count} {where}")
+            nodes, cells = without_unused(nodes, place, [])
+    return nodes, cells
+
+
+def _share_nodes(cells: Ints) -> bool:
+    """Whether the elements of a surface are closed and have no more nodes than they need."""
+    sides = sides_of(cells[:, :3])
+    inner = round((np.sqrt(8 * cells.shape[1] + 1) - 3) / 2) - 1  # of an edge
+    wanted = len(np.unique(cells[:, :3])) + inner * (int(sides.edge.max()) + 1)
+    wanted += len(cells) * inner * (inner - 1) // 2
+    return not (sides.times == 1).any() and len(np.unique(cells)) == wanted
 
 
 def _elements(source: Any) -> Elements:
@@ -268,6 +298,8 @@ def _of_file(path: Path) -> Elements:
     if not path.is_file():
         raise FileNotFoundError(f"source must be a file, but there is no file {str(path)!r}")
     kind = path.suffix.lower().lstrip(".")
+    if kind not in (*BY_TRIMESH, *BY_MESHIO):
+        raise ValueError(_unknown(path, kind))
     said = io.StringIO()
     try:
         if kind in BY_TRIMESH:
@@ -289,11 +321,22 @@ def _of_file(path: Path) -> Elements:
         raise ValueError(
             f"{path.name} cannot be read as .{kind} ({reason}); if PyVista can read it, "
             f"pyvista.read({str(path)!r}) is taken instead of the path, or else write it as PLY, "
-            "STL or OBJ with the program that made it"
+            "STL or OBJ, of triangles only, with the program that made it"
         ) from error
     if found.unit is None and kind in ("glb", "gltf"):
         found = found._replace(unit="meters")  # by the standard
     return found
+
+
+def _unknown(path: Path, kind: str) -> str:
+    if kind in ("gz", "bz2", "xz"):
+        return f"{path.name} is packed: unpack it first"
+    what = f"files .{kind} are not read" if kind else "files are known by their suffix"
+    return (
+        f"{path.name} cannot be read: {what}; if PyVista can read it, pyvista.read({str(path)!r}) "
+        "is taken instead of the path, or else write it as PLY, STL or OBJ, of triangles only, "
+        "with the program that made it"
+    )
 
 
 def _meshio(path: Path) -> Any:

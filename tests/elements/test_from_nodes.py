@@ -85,6 +85,31 @@ def test_elements_without_common_nodes_are_joined_by_reading_and_refused_as_arra
     )
 
 
+@pytest.mark.parametrize("noise", [0, 1e-12])
+def test_elements_that_share_corners_but_no_nodes_on_edges_are_joined_by_reading(noise):
+    made = curved(2)
+    cells = np.hstack([made.cells[:, :3], len(made.nodes) + np.arange(240).reshape(80, 3)])
+    own = made.nodes[made.cells[:, 3:]].reshape(-1, 3)
+    own = own + noise * np.random.default_rng(0).standard_normal(own.shape)
+    used, cells = np.unique(cells, return_inverse=True)
+    nodes = np.vstack([made.nodes, own])[used]
+    source = meshio.Mesh(nodes, [("triangle6", cells.reshape(80, 6))])
+    space = ec.SurfaceSpace.read(source, report=None)
+    assert len(space.nodes) == len(made.nodes)
+    assert space.integrate(space.nodes, 1) == pytest.approx(made.integrate(made.nodes, 1), rel=1e-9)
+
+
+def test_of_an_element_given_twice_one_is_read_and_arrays_are_refused():
+    made, said = curved(2), []
+    twice = np.vstack([made.cells, made.cells[5:6]])
+    with pytest.raises(ValueError, match=r"not a manifold: .* each once: cells = cells\[keep\]"):
+        ec.SurfaceSpace.from_nodes(made.nodes, twice)
+    source = meshio.Mesh(made.nodes, [("triangle6", twice)])
+    space = ec.SurfaceSpace.read(source, report=said.append)
+    np.testing.assert_array_equal(space.cells, made.cells)
+    assert said[1] == "dropped 1 element given before"
+
+
 def test_nodes_outside_of_all_elements_are_refused_with_a_line_that_works():
     made = curved(2)
     nodes, cells = np.vstack([[[9.0, 9, 9]], made.nodes]), made.cells + 1

@@ -10,6 +10,7 @@ import trimesh
 from broken_meshes import SPHERE, klein_bottle, mesh, pinched, soup, turned
 
 import esfem_core as ec
+from esfem_core.surfaces.files import BY_MESHIO, BY_TRIMESH
 
 DATA = Path(__file__).parent / "data"
 SHARED = Path(__file__).parents[2]
@@ -191,15 +192,25 @@ def test_what_cannot_be_read_is_refused_with_what_to_do(folder):
         read(folder / "nothing.stl")
     with pytest.raises(TypeError, match=r"source must be the path of a file, or a mesh of trimesh"):
         read(7)
-    for name in ("broken.vtk", "broken.ply", "broken.txt"):
+    for name in ("broken.vtk", "broken.ply", "broken.txt", "broken"):
         (folder / name).write_text("no mesh")
-        with pytest.raises(
-            ValueError, match=rf"{name} cannot be read as .*or else write it as PLY"
-        ):
+        with pytest.raises(ValueError, match=rf"{name} cannot be read.*or else write it as PLY"):
             read(folder / name)
+    (folder / "sphere.stl.gz").write_bytes(b"packed")
+    with pytest.raises(ValueError, match=r"sphere\.stl\.gz is packed: unpack it first"):
+        read(folder / "sphere.stl.gz")
+    (folder / "empty.stl").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"empty\.stl holds no triangles \(nothing that can be"):
+        read(folder / "empty.stl")
     cloud = trimesh.PointCloud(SPHERE.vertices)
     with pytest.raises(ValueError, match=r"Scene holds no triangles \(points only\)"):
         read(trimesh.Scene([cloud]))
+
+
+def test_meshio_is_named_for_all_that_it_reads_and_nothing_else():
+    ours = {f".{kind}" for kind in (*BY_MESHIO, *BY_TRIMESH)}
+    theirs = {kind for kind in meshio.extension_to_filetypes if not kind.endswith(".gz")}
+    assert theirs - ours == {".svg"}  # is written only
 
 
 def test_a_missing_reader_is_named(folder, monkeypatch):
