@@ -93,19 +93,21 @@ class Elastic:
         if n is None:
             n = first.smoothed(nodal_average(at, at.normal))
         n = n / np.linalg.norm(n, axis=1, keepdims=True)
-        force = first.at.A @ at.x
+        force = first.A @ at.x
         if self.area:
-            J = at.density / first.at.density
-            J *= self.area / first.at.mean(J)
+            J = at.density / first.density
+            J *= self.area / first.mean(J)
             force += at.load(None, flux=J[..., None, None] * np.eye(3))
         return -self.rate * _tangential(first.relaxed(_tangential(force, n)), n)
 
 
 class _Reference:
-    """The initial surface, and what is solved on it."""
+    """What is kept of the initial surface: not the space, which lives no longer for it."""
 
     def __init__(self, space: SurfaceSpace) -> None:
-        self.at = at = Surface(space, space.nodes)
+        at = Surface(space, space.nodes)
+        self.M, self.A, self.density = at.M, at.A, at.density
+        self._measure = at.density * space.rule.weights
         area = float(at.integral(1.0))
         self._s = area / (4 * np.pi)  # the square of the radius of a sphere as large
         self._relax = factorise(at.matrix(1.0, self._s), space.fronts, np.float64)
@@ -115,9 +117,13 @@ class _Reference:
         """B b."""
         return self._s * self._relax.solve(b)
 
+    def mean(self, values: Array) -> float:
+        """The mean of values at the quadrature points, (T, Q)."""
+        return float(np.tensordot(self._measure, values, 2) / self._measure.sum())
+
     def smoothed(self, w: Array) -> Array:
         """Nodal values without what changes sign within each element."""
-        return self._smoothing(self.at.M @ w)
+        return self._smoothing(self.M @ w)
 
 
 NAMED: Mapping[str, Callable[[], Slip]] = {

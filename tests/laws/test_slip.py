@@ -1,5 +1,8 @@
 """Nodes that slip: what does not change, what is kept, and triangles that stay good."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from temporal import fine_run, temporal_orders
@@ -109,6 +112,18 @@ def smallest_angle(space, x):
     b = np.roll(corners, 1, axis=1) - corners
     cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
     return np.degrees(np.arccos(cosine)).min()
+
+
+def test_a_law_with_a_slip_does_not_keep_the_spaces_of_its_runs():
+    law = ec.laws.with_slip(ec.laws.Regularised(1.0, 1.0, None), "elastic")
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    for state in ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.1, 0.2):
+        last = state.t
+    assert last == 0.2
+    gone = weakref.ref(space)
+    del space, state
+    gc.collect()
+    assert gone() is None
 
 
 @pytest.mark.parametrize(
