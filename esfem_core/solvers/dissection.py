@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, Ints, finite_array, whole_number
+from esfem_core.checks import Array, Ints, finite_array, integer_array, whole_number
 
 __all__ = ["Dissection", "dissect"]
 
@@ -95,7 +95,8 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     """
     part_size = whole_number("part_size", part_size, least=1)
     points = finite_array("points", points, ("N", 3))
-    if cells.ndim != 2 or cells.shape[1] < 3:
+    cells = integer_array("cells", cells, ("T", "n"))
+    if cells.shape[1] < 3:
         raise ValueError(f"cells must have shape (T, n) with n >= 3, got {cells.shape}")
     divisions = np.log2(max(len(points) / part_size, 1))
     depth = int(min(np.ceil(divisions), np.log2(len(cells))))

@@ -394,7 +394,7 @@ class Fronts:
         # Its mirror image is not needed: elimination does not read F_BI.
         first = tree.node_depth[node_i] >= tree.node_depth[node_j]
         entry_depth = np.where(first, tree.node_depth[node_i], -1)
-        self.n_entries = len(node_j)
+        self.n_entries, self.pattern = len(node_j), pattern
         cut = int(np.clip(tree.depth - SMALL, 0, MOST_CUT))  # depth of the subtrees' largest parts
         self.subtrees, self.shared = 2**cut, 0
         self.slot = np.zeros(n, dtype=np.int64)

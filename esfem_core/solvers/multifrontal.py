@@ -97,6 +97,13 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
             f"A must have the pattern that the fronts were made for, shape {(n, n)} with "
             f"{fronts.n_entries} entries; got shape {A.shape} with {len(A.data)}"
         )
+    of_a, made_for = (A.indptr, A.indices), (fronts.pattern.indptr, fronts.pattern.indices)
+    for own, wanted in zip(of_a, made_for, strict=True):
+        if own is not wanted and not np.array_equal(own, wanted):
+            raise ValueError(
+                "A must have the pattern that the fronts were made for, that of space.pattern; got "
+                "as many entries at other places"
+            )
     if dtype is not None:
         return _factorise(A, fronts, _precision(dtype))
     single = _in_single(A, fronts)

@@ -132,6 +132,9 @@ def test_another_pattern_is_refused():
         factorise(system(other), space.fronts)
     with pytest.raises(ValueError, match=r"with \d+ entries; got shape .* with 1026"):
         factorise(diags_array(np.ones(len(space.nodes)), format="csr"), space.fronts)
+    turned = system(space)[::-1][:, ::-1].tocsr()
+    with pytest.raises(ValueError, match=r"made for, that of space\.pattern; got as many"):
+        factorise(turned, space.fronts)
 
 
 @pytest.mark.parametrize(("weight", "dtype"), [(1.0, np.float32), (1e-9, np.float64)])
