@@ -21,6 +21,7 @@ __all__ = [
     "Ints",
     "finite_array",
     "flag",
+    "frozen",
     "function",
     "integer_array",
     "items",
@@ -424,6 +425,26 @@ def package(need: str, module: str, extra: str) -> Any:
         raise ImportError(
             f'{need}: pip install "esfem-core[{extra}]"', name=module.partition(".")[0]
         ) from error
+
+
+def frozen(values: Array) -> Array:
+    """The array as it is, if nobody can write to it, or else a copy.
+
+    Examples
+    --------
+    >>> x = np.zeros(3)
+    >>> y = frozen(x)
+    >>> x += 1
+    >>> y.sum(), y.flags.writeable, frozen(y) is y
+    (np.float64(0.0), False, True)
+    """
+    array = base = values
+    while isinstance(base.base, np.ndarray) and not base.flags.writeable:
+        base = base.base
+    if base.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
+    return array
 
 
 def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, mapping, number, object_of, real_array
+from esfem_core.checks import Array, frozen, mapping, number, object_of, real_array
 from esfem_core.elements.integrals import Metric
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
@@ -94,7 +94,7 @@ class Surface:
     ) -> None:
         object_of("space", space, SurfaceSpace)
         self.space, self.t = space, number("t", t)
-        self.x = _read_only(real_array("x", x, space.nodes.shape))
+        self.x = frozen(real_array("x", x, space.nodes.shape))
         if fields is None:
             fields = {}
         elif not isinstance(fields, Mapping):
@@ -102,7 +102,7 @@ class Surface:
         mapping("fields", fields, "nodal values")
         shape = (len(space.nodes), "...")
         self.fields: Mapping[str, Array] = MappingProxyType(
-            {name: _read_only(real_array(name, values, shape)) for name, values in fields.items()}
+            {name: frozen(real_array(name, values, shape)) for name, values in fields.items()}
         )
         self.used: set[Key] = set()
         self._expected = expected
@@ -118,8 +118,8 @@ class Surface:
         return {**vars(self), "fields": dict(self.fields)}  # a read-only view cannot be copied
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        fields = {name: _read_only(values) for name, values in state["fields"].items()}
-        vars(self).update(state, fields=MappingProxyType(fields))
+        fields = {name: frozen(values) for name, values in state["fields"].items()}
+        vars(self).update(state, x=frozen(state["x"]), fields=MappingProxyType(fields))
 
     @property
     def M(self) -> csr_array:

@@ -151,6 +151,8 @@ class Scheme:
         if hasattr(law, "position"):
             given = law.position(self.space.nodes, t, (history.t, history.x[0]))
         x_tilde = extrapolated(history.x) if given is None else given
+        for made in (*fields.values(), *([x_tilde] if given is None else [])):
+            made.setflags(write=False)  # nobody else has it, so that it need not be copied
         at = Surface(self.space, x_tilde, fields, t, expected=self._used)
         if given is None:
             history.normal = _not_turned(at, history.normal)

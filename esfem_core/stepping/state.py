@@ -10,6 +10,7 @@ import numpy as np
 from esfem_core.checks import (
     Array,
     finite_array,
+    frozen,
     mapping,
     number,
     object_of,
@@ -139,16 +140,16 @@ class State:
         method: Method | None,
     ) -> None:
         """Take values as attributes; nobody can write to the arrays any more."""
-        frozen = {
+        kept = {
             "t": t,
-            "x": _frozen(x),
-            "v": None if v is None else _frozen(v),
+            "x": frozen(x),
+            "v": None if v is None else frozen(v),
             "space": space,
-            "fields": MappingProxyType({name: _frozen(w) for name, w in fields.items()}),
-            "products": MappingProxyType({name: _frozen(w) for name, w in products.items()}),
+            "fields": MappingProxyType({name: frozen(w) for name, w in fields.items()}),
+            "products": MappingProxyType({name: frozen(w) for name, w in products.items()}),
             "method": method,
         }
-        for name, value in frozen.items():
+        for name, value in kept.items():
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -192,17 +193,6 @@ def _checked_method(method: object) -> Method:
         whole_number("the order of method", order, 1),
         number("the step of method", step, above=0),
     )
-
-
-def _frozen(values: Array) -> Array:
-    """The array as it is, if nobody can write to it, or else a copy."""
-    array = base = values
-    while isinstance(base.base, np.ndarray) and not base.flags.writeable:
-        base = base.base
-    if base.flags.writeable:
-        array = array.copy()
-        array.setflags(write=False)
-    return array
 
 
 def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:

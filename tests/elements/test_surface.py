@@ -329,6 +329,17 @@ def test_all_arrays_are_read_only(case):
             setattr(at, name, None)
 
 
+def test_one_object_is_one_surface_whatever_becomes_of_the_callers_arrays(case):
+    space, x, fields = case
+    x, u = x.copy(), fields["u"].copy()
+    at, again = (ec.Surface(space, x, u) for _ in range(2))
+    area, total = again.integral(1.0), again.integral(again.u)
+    x *= 2
+    u += 1
+    assert (at.M.sum(), at.integral(1.0)) == pytest.approx((area, area))
+    assert at.integral(at.u) == total
+
+
 def test_it_says_what_it_holds():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
     assert repr(ec.Surface(space, space.nodes)) == "Surface(t=0, nodes=6, fields: none)"
