@@ -153,13 +153,16 @@ def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
     ------
     ValueError
         If there is not one value for each coefficient, or their shapes differ.
+    TypeError
+        If a value does not hold real numbers.
 
     Examples
     --------
     >>> combine(delta(2), [np.array([4.0]), np.array([1.0]), np.array([0.0])])  # 2 t at t = 2
     array([4.])
     """
-    weights, arrays = list(coefficients), list(values)
+    weights = list(coefficients)
+    arrays = [real_array(f"values[{j}]", value, ("...",)) for j, value in enumerate(values)]
     if not len(weights) == len(arrays) > 0:
         raise ValueError(
             f"values must hold one array for each of {len(weights)} coefficients, at least one, "

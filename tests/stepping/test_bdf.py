@@ -72,6 +72,13 @@ def test_what_cannot_be_combined_is_refused(coefficients, values, message):
         ec.bdf.combine(coefficients, values)
 
 
+def test_lists_and_integers_are_combined_as_arrays_of_floats_are():
+    assert ec.bdf.combine([1, -1], [[3.0], [1.0]]).tolist() == [2.0]
+    assert ec.bdf.combine([1, -0.5], [np.array([4]), np.array([1])]).tolist() == [3.5]
+    with pytest.raises(TypeError, match=r"values\[1\] must hold real numbers"):
+        ec.bdf.combine([1, 1], [np.ones(2), np.ones(2) * 1j])
+
+
 def test_iterators_and_numbers_are_combined():
     assert ec.bdf.combine(iter([1.0, -1.0]), iter([3.0, 2.0])) == 1.0
     given = [np.array([1.0]), np.array([2.0])]
