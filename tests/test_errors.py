@@ -24,6 +24,13 @@ def test_exact_values_have_no_error():
     assert max(ec.errors.compare(SPACE, PROBLEM, exact_state(0.3))) < 1e-15
 
 
+def test_what_is_not_there_has_no_error_that_could_be_taken_for_none():
+    state = ec.State(0.3, exact_state(0.3).x, None, fields={})
+    lifted = ec.errors.lifted(SPACE, PROBLEM, state)
+    assert np.isnan([lifted.v_l2, lifted.v_h1, lifted.u_l2, lifted.u_h1]).all()
+    assert 0 <= lifted.x_l2 < 1e-3
+
+
 def test_a_known_perturbation():
     """Norms of eps x1 on a sphere of radius r: eps sqrt(4 pi/3) r^2 and eps sqrt(8 pi/3) r."""
     state, eps = exact_state(0.3), 1e-3

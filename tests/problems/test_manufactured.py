@@ -198,12 +198,13 @@ class TestExact:
     def test_origins_are_found_along_a_path_of_times(self):
         """A turn by half a circle with the radius: from p = x alone, Newton's method gets lost."""
         turned = [
-            "p1*cos(3*t*p3) - p2*sin(3*t*p3)",
-            "p1*sin(3*t*p3) + p2*cos(3*t*p3)",
+            "p1*cos(3*t*(p1**2 + p2**2)) - p2*sin(3*t*(p1**2 + p2**2))",
+            "p1*sin(3*t*(p1**2 + p2**2)) + p2*cos(3*t*(p1**2 + p2**2))",
             "p3 + t*sin(2*p3)/3",
         ]
         path, points = Motion(turned), ec.to_unit_sphere(TestOperators.POINTS)
         moved = path.position.values(points, 1.0)
+        assert np.isnan(path._newton(moved, moved, 1.0)).any()
         assert path.origin(moved, 1.0) == pytest.approx(points, abs=1e-12)
 
     def test_closest_points_are_on_the_surface_and_errors_can_be_lifted(self):
