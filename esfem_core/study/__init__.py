@@ -1,6 +1,6 @@
 """Convergence studies, and studies of many cases in many processes."""
 
-from esfem_core.study import dependencies, environment
+from esfem_core.study import dependencies, environment, user_code
 from esfem_core.study.campaign import (
     Experiment,
     Failure,
@@ -45,4 +45,5 @@ __all__ = [
     "select",
     "space_study",
     "time_study",
+    "user_code",
 ]

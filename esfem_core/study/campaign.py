@@ -29,7 +29,7 @@ from pickle import loads
 from typing import Any, Literal, NamedTuple
 
 from esfem_core.checks import function, items, one_of, path_of, shown, whole_number
-from esfem_core.study.dependencies import code_of, is_of_package
+from esfem_core.study.dependencies import is_of_package
 from esfem_core.study.environment import environment
 from esfem_core.study.locks import StudyWarning
 from esfem_core.study.processes import Processes, WorkerLostError, pickled, transportable
@@ -41,6 +41,7 @@ from esfem_core.study.rows import (
     set_aside,
     told,
 )
+from esfem_core.study.user_code import code_of
 
 __all__ = [
     "Experiment",

@@ -133,7 +133,7 @@ def run(
     larger goes on. A case is what its parameters are, in whatever order; a row is out of date when
     the code that its case reaches has changed, and what it uses besides its parameters: numbers,
     arrays, spaces, triangulations, attributes of its own objects (see
-    :func:`esfem_core.study.dependencies.code_of`). A case that fails, or whose process dies twice,
+    :func:`esfem_core.study.user_code.code_of`). A case that fails, or whose process dies twice,
     is reported, and the others go on.
 
     Parameters

@@ -65,7 +65,7 @@ def environment(code: str | None = None) -> dict[str, str]:
     ----------
     code : str, optional
         Hash of the code that computed the result, see
-        :func:`esfem_core.study.dependencies.code_of`; that of the whole package if None.
+        :func:`esfem_core.study.user_code.code_of`; that of the whole package if None.
 
     Examples
     --------

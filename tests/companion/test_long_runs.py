@@ -6,7 +6,7 @@ import pytest
 
 from esfem_core.companion import campaign
 from esfem_core.companion.campaign import Experiment
-from esfem_core.study.dependencies import code_of
+from esfem_core.study.user_code import code_of
 
 
 def compute(order, step):

@@ -8,6 +8,7 @@ from esfem_core.companion.experiments import EXPERIMENTS
 from esfem_core.companion.experiments.theorem import nodal_sides
 from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, environment
+from esfem_core.study.user_code import code_of
 
 MODULES = {
     "__init__": """
@@ -68,8 +69,8 @@ def house(tmp_path):
             (package / f"{module}.py").write_text(text)
         dependencies._read.cache_clear()
         dependencies._definition.cache_clear()
-        dependencies._hash.cache_clear()
-        return dependencies._hash("house.start", start, package)
+        dependencies.hash_of.cache_clear()
+        return dependencies.hash_of("house.start", start, package)
 
     return hash_with
 
@@ -127,6 +128,6 @@ def test_an_experiment_depends_on_solver_and_scheme_and_not_on_pictures_or_claim
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 def test_a_row_names_the_code_of_its_experiment(experiment):
-    code = dependencies.code_of(experiment.compute)
+    code = code_of(experiment.compute)
     assert code == dependencies.code_hash(experiment.compute)
     assert environment.environment(code)["esfem_core"].endswith(f", source {code}")

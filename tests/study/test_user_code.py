@@ -17,7 +17,7 @@ import pytest
 
 import esfem_core as ec
 from esfem_core.stepping import bdf
-from esfem_core.study.dependencies import code_of
+from esfem_core.study.user_code import code_of
 
 SOURCE = '''
 import numpy as np
@@ -117,9 +117,9 @@ def test_the_solver_counts_as_far_as_it_is_reached(monkeypatch):
         return {"space": ec.SurfaceSpace}
 
     before = code_of(own), code_of(other)
-    real = dependencies._hash
+    real = dependencies.hash_of
     changed = lambda m, n, p: "new" if n == "delta" else real(m, n, p)  # noqa: E731
-    monkeypatch.setattr(dependencies, "_hash", changed)
+    monkeypatch.setattr(dependencies, "hash_of", changed)
     assert code_of(own) != before[0]
     assert code_of(other) == before[1]
 
