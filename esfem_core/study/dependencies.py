@@ -44,8 +44,15 @@ class _Module:
 
 def is_of_package(function: Callable[..., Any]) -> bool:
     """Whether a function is defined at the top of a module of this package."""
-    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
-    return isinstance(function, FunctionType) and is_at_top(module, name)
+    return isinstance(function, FunctionType) and is_at_top(*home(function))
+
+
+def home(function: FunctionType) -> tuple[str | None, str]:
+    """Where the code of a function stands: its module and its name there.
+
+    A wrapper, as of functools.wraps, has the name of what it wraps, but its code is its own.
+    """
+    return function.__globals__.get("__name__"), function.__code__.co_qualname
 
 
 def is_at_top(module: str | None, name: str) -> bool:
@@ -96,8 +103,26 @@ def reached(function: Callable[..., Any]) -> list[str]:
 
 @cache
 def hash_of(module: str, name: str, package: Path) -> str:
+    return _digest(_closure(module, name, package))
+
+
+@cache
+def hash_of_all(module: str) -> str:
+    """Hash of what a module of this package, or a folder of modules, reaches as a whole."""
+    path = PACKAGE.joinpath(*module.split(".")[1:])
+    starts = []
+    for file in sorted(path.rglob("*.py")) or [path.with_suffix(".py")]:
+        inside = file.relative_to(PACKAGE.parent).with_suffix("").parts
+        name = ".".join(part for part in inside if part != "__init__")
+        read = _read(name, PACKAGE)
+        assert read is not None
+        starts += [(name, key) for key in ("", *read.definitions)]
+    return _digest(_reached_from(starts, PACKAGE))
+
+
+def _digest(texts: dict[tuple[str, str], str]) -> str:
     total = hashlib.sha256()
-    for key, text in sorted(_closure(module, name, package).items()):
+    for key, text in sorted(texts.items()):
         total.update(f"{key}\0{text}\0".encode())
     return total.hexdigest()[:12]
 
@@ -107,8 +132,11 @@ def _closure(module: str, name: str, package: Path) -> dict[tuple[str, str], str
     start = _read(module, package)
     if start is None or name not in start.definitions:
         raise ValueError(f"{module}.{name} is not defined at the top of a module of {package.name}")
+    return _reached_from([(module, name)], package)
+
+
+def _reached_from(waiting: list[tuple[str, str]], package: Path) -> dict[tuple[str, str], str]:
     found: dict[tuple[str, str], str] = {}
-    waiting = [(module, name)]
     while waiting:
         key = waiting.pop()
         if key not in found:

@@ -6,58 +6,65 @@ values by content. Docstrings, comments and layout do not count.
 """
 
 import ast
+import copyreg
+import dis
 import functools
+import gc
 import hashlib
+import importlib
+import importlib.util
 import inspect
-import re
 import sys
 import sysconfig
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from datetime import date, time, timedelta
-from enum import Enum
 from functools import cache
-from numbers import Number
-from pathlib import Path, PurePath
-from types import (
-    BuiltinFunctionType,
-    CodeType,
-    FunctionType,
-    MethodType,
-    ModuleType,
-    SimpleNamespace,
-)
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 import numpy as np
 import trimesh
+from scipy.sparse import issparse
 
 from esfem_core.elements import SurfaceSpace
 from esfem_core.study import dependencies
-from esfem_core.study.dependencies import PACKAGE, code_hash, is_at_top, is_of_package
+from esfem_core.study.dependencies import PACKAGE, code_hash, is_of_package
 
 __all__ = ["code_of"]
 
-BY_TEXT = (
-    *(str, bytes, bytearray, Number, np.generic, type(None), type(...), Enum, range, slice),
-    *(PurePath, date, time, timedelta, re.Pattern),
-)
+BY_TEXT = (str, bytes, bytearray, bool, int, float, complex, type(None), type(...), range)
 """Values that their `repr` tells all of."""
+
+CACHES = (WeakKeyDictionary, WeakValueDictionary, WeakSet)
+"""What an object has computed in the meantime: it does not count."""
 
 WRAPPED = ("__wrapped__", "pyfunc", "py_func")
 """Where functools.cache, numpy.vectorize and the like keep the function that they call."""
+
+WRAPPING = ("otypes", "signature", "excluded")
+"""How numpy.vectorize calls it; what such an object keeps besides are caches."""
+
+LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {
+    *("__firstlineno__", "__static_attributes__", "__slotnames__", "__annotations__"),
+    *("__annotate__", "__annotate_func__", "__annotations_cache__"),
+}
+"""Members of a class that tell where it stands, or repeat what others tell."""
 
 
 def code_of(function: Callable[..., Any]) -> str:
     """Hash of the code that decides what a function returns, of this package or of a user.
 
     For a user's function, other functions and classes of the user that it reaches count, and the
-    values of the names that it uses: numbers, strings, paths, arrays, lists, dicts and dataclasses
-    of them, such as laws and problems, spaces, triangulations, and the attributes of other objects
-    of the user's classes and of this package. What is left counts by its class, other packages not
-    at all.
+    values of the names that it uses: numbers, strings, arrays, sparse matrices, containers of
+    them, laws, problems, spaces, triangulations, and other objects. Those of the user's classes
+    and of other packages count by what pickle would keep of them, or by their class if it keeps
+    nothing; those of this package by what their constructor took, if they keep all of it, or by
+    their public attributes. Modules count as far as they are used, and those of other packages by
+    their names.
 
     Examples
     --------
@@ -71,149 +78,231 @@ def code_of(function: Callable[..., Any]) -> str:
     """
     if is_of_package(function):
         return code_hash(function)
-    walk = _Walk()
-    walk.add(function)
-    return hashlib.sha256("\0".join(walk.texts).encode()).hexdigest()[:12]
+    return _digest(function, {})[:12]
 
 
-class _Walk:
-    """Texts of all that a user's function reaches, in the order in which it is met."""
+def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
+    """Hash of the texts of all that a value reaches, in the order in which it is met.
 
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-        self._seen: dict[int, Any] = {}  # keeps what it has seen alive, so that no id is used twice
-
-    def add(self, value: Any) -> None:
-        """Follow a value: code as far as it goes, data by content."""
-        if isinstance(value, BY_TEXT) and not np.ma.isMaskedArray(value):
-            self.texts.append(repr(value))
-        elif np.ma.isMaskedArray(value):
-            self._add_all([np.ma.getdata(value), np.ma.getmaskarray(value)])
-        elif isinstance(value, np.ndarray) and value.dtype.hasobject:  # bytes are addresses
-            self.add([value.shape, value.tolist()])
-        elif isinstance(value, np.ndarray):
-            data = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
-            self.texts.append(f"{value.dtype} {value.shape} {data}")
-        elif id(value) in self._seen:
-            self.texts.append("as before")
+    `seen` are the objects met before, with their numbers, by id; they are kept alive, so that no
+    id is used twice.
+    """
+    texts, seen, waiting = [], dict(seen), [value]
+    while waiting:
+        value = waiting.pop()
+        if type(value) in BY_TEXT:
+            texts.append(repr(value))
+        elif id(value) in seen:
+            texts.append(f"as number {seen[id(value)][0]}")
         else:
-            self._seen[id(value)] = value
-            self._add_object(value)
-
-    def _add_object(self, value: Any) -> None:
-        if isinstance(value, Mapping | list | tuple | set | frozenset):
-            self.texts.append(f"{type(value).__name__} of {len(value)}")
-        if isinstance(value, functools.partial):
-            self._add_all([value.func, value.args, value.keywords])
-        elif isinstance(value, MethodType):
-            self._add_all([value.__func__, value.__self__])
-        elif isinstance(value, FunctionType | type):
-            self._add_definition(value)
-        elif isinstance(value, Mapping):
-            self._add_all(part for item in value.items() for part in item)
-        elif isinstance(value, list | tuple):
-            self._add_all(value)
-        elif isinstance(value, set | frozenset):
-            self._add_all(sorted(value, key=repr))
-        elif isinstance(value, staticmethod | classmethod):
-            self.add(value.__func__)
-        elif isinstance(value, property):
-            self._add_all([value.fget, value.fset])
-        elif isinstance(value, ModuleType | BuiltinFunctionType | np.ufunc):
-            self.texts.append(value.__name__)
-        elif isinstance(value, SimpleNamespace):
-            self.add(vars(value))
-        elif is_dataclass(value):
-            self._add_all(
-                [type(value), {f.name: getattr(value, f.name, None) for f in fields(value)}]
-            )
-        elif isinstance(value, SurfaceSpace):
-            self._add_all([value.nodes, value.cells, value.rule])
-        elif isinstance(value, trimesh.Trimesh):
-            self._add_all([np.array(value.vertices), np.array(value.faces)])
-        else:
-            self.add(type(value))
-            self.add(_attributes(value))
-
-    def _add_all(self, values: Any) -> None:
-        for value in values:
-            self.add(value)
-
-    def _add_definition(self, value: Any) -> None:
-        """Follow a function or a class."""
-        module, name = value.__module__, value.__qualname__
-        self.texts.append(name)
-        if is_at_top(module, top := name.partition(".")[0]):
-            self.texts.append(dependencies.hash_of(module, top, PACKAGE))
-            self._add_all(_enclosed(value).values())
-        elif _is_library(module):
-            pass
-        elif isinstance(value, type):
-            self._add_all(value.__bases__)
-            for key, member in vars(value).items():
-                if key not in LEFT_OUT:
-                    self._add_all([key, member])
-        else:
-            self._add_function(inspect.unwrap(value))
-
-    def _add_function(self, function: Any) -> None:
-        inner = function.__code__.co_freevars
-        names = {k: v for k, v in function.__globals__.items() if k not in inner}
-        names |= _enclosed(function)
-        text, chains = _source(function)
-        self.texts.append(text)
-        self._add_all([function.__defaults__, function.__kwdefaults__])
-        for name, *rest in chains:
-            if name in names:
-                found = names[name]
-                while rest and isinstance(found, ModuleType) and not _is_library(found.__name__):
-                    found = getattr(found, rest.pop(0), None)
-                self.add(found)
+            seen[id(value)] = len(seen), value
+            text, parts = _told(value)
+            if isinstance(value, set | frozenset):  # each by itself: their order is none
+                parts = sorted(
+                    repr(part) if type(part) in BY_TEXT else _digest(part, seen) for part in parts
+                )
+            texts.append(text)
+            waiting += reversed(parts)
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 
-def _attributes(value: Any) -> dict[str, Any]:
-    """What tells an object from others of its class: of this package, what is no cache of it."""
-    inner, module = getattr(value, "__dict__", {}), type(value).__module__
+Told = tuple[str, list[Any]]
+"""What is to be said of an object, and the other objects that tell the rest."""
+
+
+def _told(value: Any) -> Told:
+    """What tells an object: code as far as it goes, data by content."""
+    if isinstance(value, type):
+        return _told_of_class(value)
+    if isinstance(value, FunctionType):
+        return _told_of_function(value)
+    if isinstance(value, ModuleType):
+        return _told_of_module(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return _told_of_array(value)
+    kind = type(value)
+    if isinstance(value, SurfaceSpace):
+        return "", [kind, value.nodes, value.cells, value.rule]
+    if isinstance(value, trimesh.Trimesh):
+        return "", [kind, np.array(value.vertices), np.array(value.faces)]
+    if _is_library(_module_of(kind)):
+        return _told_of_library(value)
+    return "", [kind, _made_of(value) if _head(_module_of(kind)) == PACKAGE.name else _kept(value)]
+
+
+def _told_of_array(value: Any) -> Told:
+    name, own = type(value).__name__, []
+    if not _is_library(_module_of(type(value))):
+        own = [type(value), vars(value)]
+    if np.ma.isMaskedArray(value):
+        return name, [*own, np.ma.getdata(value), np.ma.getmaskarray(value)]
+    if value.dtype.hasobject:  # bytes are addresses
+        return name, [*own, value.shape, value.tolist()]
+    data = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+    return f"{name} {value.dtype} {value.shape} {data}", own
+
+
+def _told_of_library(value: Any) -> Told:
+    """What tells an object of a class that is built in, or of another package."""
+    name = type(value).__name__
+    if isinstance(value, CACHES):
+        return name, []
+    if isinstance(value, Mapping):
+        parts = [part for item in value.items() for part in item]
+        return f"{name} of {len(value)}", [getattr(value, "default_factory", None), *parts]
+    if isinstance(value, list | tuple | set | frozenset):
+        return f"{name} of {len(value)}", list(value)
+    if isinstance(value, MethodType):
+        return name, [value.__func__, value.__self__]
+    if isinstance(value, BuiltinFunctionType):
+        return value.__qualname__, [value.__self__]
+    if isinstance(value, np.ufunc):  # numpy.frompyfunc shows its function to no one else
+        return value.__name__, [part for part in gc.get_referents(value) if callable(part)]
+    if isinstance(value, staticmethod | classmethod):
+        return name, [value.__func__]
+    if isinstance(value, property):
+        return name, [value.fget, value.fset, value.fdel]
+    if issparse(value):
+        return name, _entries(value)
+    return "", [type(value), _kept(value)]
+
+
+def _entries(matrix: Any) -> list[Any]:
+    """What tells a sparse matrix, in the same form for every format."""
+    entries = matrix.tocoo()
+    return [matrix.shape, entries.coords, entries.data]
+
+
+def _told_of_module(module: ModuleType) -> Told:
+    """What tells a module that is used as a whole."""
+    name = module.__name__
+    if _head(name) == PACKAGE.name:
+        return f"{name} {dependencies.hash_of_all(name)}", []
+    if _is_library(name):
+        return name, []
+    return "", [{key: v for key, v in vars(module).items() if not key.startswith("_")}]
+
+
+def _told_of_class(value: type) -> Told:
+    module, name = _module_of(value), value.__qualname__
+    if dependencies.is_at_top(module, top := _head(name)) and "<locals>" not in name:
+        assert module is not None
+        return f"{name} {dependencies.hash_of(module, top, PACKAGE)}", []
     if _is_library(module):
-        return {name: inner[name] for name in WRAPPED if name in inner}
-    if _head(module) == PACKAGE.name:
-        return {name: part for name, part in inner.items() if not name.startswith("_")}
-    return dict(inner)
+        return f"{module}.{name}", []
+    members = [item for item in vars(value).items() if item[0] not in LEFT_OUT]
+    return name, [type(value), *value.__bases__, *(part for item in members for part in item)]
 
 
-def _enclosed(function: Any) -> dict[str, Any]:
+def _told_of_function(function: FunctionType) -> Told:
+    module, name = dependencies.home(function)
+    inside = "<locals>" in name
+    if dependencies.is_at_top(module, top := _head(name)):
+        assert module is not None
+        # Inside another function, several may have the same name.
+        rest = [_source(function)[0], *_held(function)] if inside else []
+        return f"{name} {dependencies.hash_of(module, top, PACKAGE)}", rest
+    if module is not None and _is_library(module):  # None: made by exec, as by sympy.lambdify
+        return f"{module}.{name}", _held(function) if inside else []
+    code, chains, imported = _source(function)
+    enclosed, *defaults = _held(function)
+    names = function.__globals__ | imported | enclosed
+    used = [_found(names[name], rest) for name, *rest in chains if name in names]
+    return function.__code__.co_name, [code, *defaults, vars(function), *used]
+
+
+def _found(value: Any, attributes: list[str]) -> Any:
+    """The a.b.c in the code of a user, as far as it leads through modules that count."""
+    for name in attributes:
+        if not isinstance(value, ModuleType) or _is_library(value.__name__):
+            break
+        value = getattr(value, name, None)
+    return value
+
+
+def _made_of(value: Any) -> Any:
+    """What tells an object of this package from others of its class, without caches of it.
+
+    That is what its constructor was given, if it keeps all of it under the same names, and else
+    its public attributes.
+    """
+    if isinstance(value, tuple):
+        return tuple(value)
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name, None) for f in fields(value)}
+    attributes: dict[str, Any] = getattr(value, "__dict__", {})
+    given, names = {}, []
+    with suppress(ValueError):  # of the constructor of an exception
+        names = list(inspect.signature(type(value)).parameters)
+    for name in names:
+        if f"_{name}" in attributes:
+            given[name] = attributes[f"_{name}"]
+        elif name in attributes or isinstance(getattr(type(value), name, None), property):
+            given[name] = getattr(value, name)
+    if names and len(given) == len(names):
+        return given
+    return given | {name: part for name, part in attributes.items() if not name.startswith("_")}
+
+
+def _kept(value: Any) -> Any:
+    """What pickle would keep of an object, as plain values and other objects."""
+    attributes = getattr(value, "__dict__", {})
+    if any(name in attributes for name in WRAPPED) and _is_library(_module_of(type(value))):
+        return [attributes[name] for name in (*WRAPPED, *WRAPPING) if name in attributes]
+    registered = copyreg.dispatch_table.get(type(value))
+    try:
+        reduced = registered(value) if registered else value.__reduce_ex__(4)
+    except Exception:  # whatever its class finds wrong with it
+        return _without_caches(value, attributes)
+    if isinstance(reduced, str):
+        return reduced
+    parts = list(reduced)
+    parts[2:3] = [_without_caches(value, state) for state in parts[2:3]]
+    # Entries of lists and dicts come as iterators.
+    return [list(part) if isinstance(part, Iterator) else part for part in parts]
+
+
+def _without_caches(value: Any, state: Any) -> Any:
+    """Attributes, or pairs of them and of slots, without what the object can compute again."""
+    if isinstance(state, tuple):
+        return [_without_caches(value, part) for part in state]
+    if not isinstance(state, dict):
+        return state
+    members = (item for kind in type(value).__mro__ for item in vars(kind).items())
+    known = {name for name, member in members if isinstance(member, functools.cached_property)}
+    return {name: part for name, part in state.items() if name not in known | {"__doc__"}}
+
+
+def _enclosed(function: FunctionType) -> dict[str, Any]:
     """Values that a function has from the one in which it stands."""
     found = {}
-    if isinstance(function, FunctionType):
-        cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        for name, cell in cells:
-            with suppress(ValueError):  # not bound yet
-                found[name] = cell.cell_contents
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    for name, cell in cells:
+        with suppress(ValueError):  # not bound yet
+            found[name] = cell.cell_contents
     return found
 
 
-LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {
-    "__firstlineno__",
-    "__static_attributes__",
-    "__annotations__",
-}
+def _held(function: FunctionType) -> list[Any]:
+    """Values that a function carries with it."""
+    return [_enclosed(function), function.__defaults__, function.__kwdefaults__]
 
 
-def _source(function: Any) -> tuple[str, list[list[str]]]:
-    """Code of a user's function, and the a.b.c in it; its byte code where it has no source."""
-    if function.__name__ != "<lambda>":
+def _source(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any]]:
+    """Code of a function, the a.b.c in it, and what it imports; byte code if it has no source."""
+    code = function.__code__
+    if code.co_name != "<lambda>":  # which need not be alone in its lines
         try:
-            tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+            tree = ast.parse(textwrap.dedent(inspect.getsource(code)))
         except (OSError, TypeError, SyntaxError):
             pass
         else:
-            return repr(dependencies.syntax(tree.body)), [
-                list(c) for s in tree.body for c in dependencies.chains(s)
-            ]
-    codes = list(_codes(function.__code__))
-    names = dict.fromkeys(name for code in codes for name in (*code.co_names, *code.co_freevars))
-    texts = ((c.co_code, [k for k in c.co_consts if not isinstance(k, CodeType)]) for c in codes)
-    return repr([*texts, *names]), [[name] for name in names]
+            found = [chain for part in tree.body for chain in dependencies.chains(part)]
+            return repr(dependencies.syntax(tree.body)), found, _imports(tree, function)
+    codes = list(_codes(code))
+    found = [chain for inner in codes for chain in _loaded(inner)]
+    texts = [(c.co_code, c.co_names, c.co_freevars, _without_code(c.co_consts)) for c in codes]
+    return texts, found, {}
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
@@ -224,8 +313,54 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
             yield from _codes(constant)
 
 
-def _head(module: str | None) -> str:
-    return (module or "").partition(".")[0]
+def _without_code(constants: tuple[Any, ...]) -> list[Any]:
+    return [constant for constant in constants if not isinstance(constant, CodeType)]
+
+
+def _loaded(code: CodeType) -> Iterator[list[str]]:
+    """All a.b.c in byte code, as lists of names."""
+    chain: list[str] = []
+    for step in dis.get_instructions(code):
+        if step.opname in ("LOAD_ATTR", "LOAD_METHOD") and chain:
+            chain.append(step.argval)
+        elif step.opname not in ("CACHE", "EXTENDED_ARG"):
+            if chain:
+                yield chain
+            named = step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
+            chain = [step.argval] if named else []
+
+
+def _imports(tree: ast.Module, function: FunctionType) -> dict[str, Any]:
+    """What the names are that a function imports itself; those of other packages are left out."""
+    found = {}
+    package = function.__globals__.get("__package__")
+    for node in ast.walk(tree):
+        with suppress(Exception):  # whatever a module raises that cannot be imported
+            if isinstance(node, ast.ImportFrom):
+                source = importlib.util.resolve_name(
+                    "." * node.level + (node.module or ""), package
+                )
+                for alias in [] if _is_library(source) else node.names:
+                    module = importlib.import_module(source)
+                    if not hasattr(module, alias.name):
+                        importlib.import_module(f"{source}.{alias.name}")
+                    found[alias.asname or alias.name] = getattr(module, alias.name)
+            elif isinstance(node, ast.Import):
+                for alias in node.names:
+                    if not _is_library(alias.name):
+                        module = importlib.import_module(alias.name)
+                        head = _head(alias.name)
+                        found[alias.asname or head] = module if alias.asname else sys.modules[head]
+    return found
+
+
+def _head(name: str | None) -> str:
+    return (name or "").partition(".")[0]
+
+
+def _module_of(kind: type) -> str | None:
+    module = kind.__module__
+    return module if isinstance(module, str) else None  # Cython's functions have a descriptor there
 
 
 @cache
@@ -233,9 +368,24 @@ def _is_library(module: str | None) -> bool:
     """Whether a module is none of the user's: built in, or installed."""
     if module in (None, "__main__", "__mp_main__"):
         return module is None
-    file = getattr(sys.modules.get(_head(module)), "__file__", None)
-    if file is None:
-        return _head(module) in sys.stdlib_module_names
-    path = Path(file)
+    head = _head(module)
+    if head == PACKAGE.name:  # installed or not, it is followed
+        return False
+    if (path := _place(head)) is None:
+        return head in sys.stdlib_module_names
     standard = Path(sysconfig.get_path("stdlib"))
     return bool({"site-packages", "dist-packages"} & set(path.parts)) or standard in path.parents
+
+
+def _place(head: str) -> Path | None:
+    """The file or folder of a module, without importing it."""
+    module = sys.modules.get(head)
+    if module is None:
+        found = None
+        with suppress(ImportError, ValueError):
+            found = importlib.util.find_spec(head)
+        file = found.origin if found and found.has_location else None
+        folders = found.submodule_search_locations if found else None
+    else:
+        file, folders = getattr(module, "__file__", None), getattr(module, "__path__", None)
+    return next((Path(place) for place in (file, *(folders or ())) if place), None)

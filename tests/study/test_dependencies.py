@@ -131,3 +131,20 @@ def test_a_row_names_the_code_of_its_experiment(experiment):
     code = code_of(experiment.compute)
     assert code == dependencies.code_hash(experiment.compute)
     assert environment.environment(code)["esfem_core"].endswith(f", source {code}")
+
+
+def test_a_module_as_a_whole_counts_with_all_that_is_in_it(monkeypatch):
+    code = dependencies.hash_of_all("esfem_core.laws")
+    assert code != dependencies.hash_of_all("esfem_core.laws.fixed")
+    real = dependencies._definition
+
+    def changed(module, name, package):
+        text, targets = real(module, name, package)
+        return (text + "!" if (module, name) == place else text), targets
+
+    monkeypatch.setattr(dependencies, "_definition", changed)
+    whole = dependencies.hash_of_all.__wrapped__
+    place = "esfem_core.laws.slip", "Elastic"
+    assert whole("esfem_core.laws") != code
+    place = "esfem_core.study.cases", "run"
+    assert whole("esfem_core.laws") == code

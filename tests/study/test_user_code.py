@@ -2,21 +2,29 @@
 
 import functools
 import linecache
+import operator
 import re
 import sys
 import types
+from collections import OrderedDict, defaultdict, deque
 from dataclasses import dataclass
 from datetime import date
 from decimal import Decimal
 from enum import Enum
 from fractions import Fraction
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
+import scipy
+import sympy
+from scipy.sparse import coo_array
 
 import esfem_core as ec
 from esfem_core.stepping import bdf
+from esfem_core.study import dependencies, user_code
+from esfem_core.study.dependencies import code_hash
 from esfem_core.study.user_code import code_of
 
 SOURCE = '''
@@ -108,8 +116,6 @@ def test_the_name_of_the_module_does_not_count():
 
 
 def test_the_solver_counts_as_far_as_it_is_reached(monkeypatch):
-    from esfem_core.study import dependencies
-
     def own(order):
         return {"delta": ec.bdf.delta(order)}
 
@@ -156,8 +162,49 @@ class Model:
         return size * self.rate
 
 
+class Slots:
+    __slots__ = ("rate",)
+
+    def __init__(self, rate):
+        self.rate = rate
+
+
+class Entries(list):
+    pass
+
+
+class Money(float):
+    def __repr__(self):
+        return "money"
+
+
+def with_attribute(made, rate):
+    made.rate = rate
+    return made
+
+
+def sphere(u, motion=("p1", "p2", "p3")):
+    return ec.manufactured("x1**2 + x2**2 + x3**2 - 1", motion, u)
+
+
+def decorated(factor):
+    """A function that a decorator of a parameter makes."""
+
+    def raw(size):
+        return size
+
+    @functools.wraps(raw)
+    def wrapper(size):
+        return factor * raw(size)
+
+    return wrapper
+
+
 def space(refinements):
     return ec.SurfaceSpace(ec.sphere("octahedron", refinements))
+
+
+FORMATS = ("csr", "csc", "coo", "lil", "dok", "dia", "bsr")
 
 
 @pytest.mark.parametrize(
@@ -192,6 +239,44 @@ def space(refinements):
         (ec.problems.growing_sphere(alpha=1), ec.problems.growing_sphere(alpha=2)),
         (ec.problems.growing_sphere(u0=4), ec.problems.growing_sphere(u0=5)),
         (ec.Problem(1.0, f=lambda at: at.u), ec.Problem(1.0, f=lambda at: 2 * at.u)),
+        (Slots(1), Slots(2)),
+        (Entries([1]), Entries([2])),
+        (Entries([1]), [1]),
+        (with_attribute(Entries(), 1), with_attribute(Entries(), 2)),
+        (with_attribute(lambda: 0, 1), with_attribute(lambda: 0, 2)),
+        (Money(1), Money(2)),
+        (deque([1]), deque([2])),
+        (defaultdict(int), defaultdict(list)),
+        ({"a": 1, "b": 2}, {"b": 2, "a": 1}),
+        (OrderedDict(a=1), {"a": 1}),
+        (operator.itemgetter(1), operator.itemgetter(2)),
+        ({1: 1}.get, {1: 2}.get),
+        (np.linalg.norm, scipy.linalg.norm),
+        (re.compile("a" * 300 + "b"), re.compile("a" * 300 + "c")),
+        (np.vectorize(abs, otypes=[int]), np.vectorize(abs, otypes=[float])),
+        (np.frompyfunc(lambda x: x + 1, 1, 1), np.frompyfunc(lambda x: x + 2, 1, 1)),
+        (np.random.default_rng(1), np.random.default_rng(2)),
+        (np.array([[1]]), np.matrix([[1]])),
+        *(
+            (coo_array(np.eye(2)).asformat(f), coo_array(2 * np.eye(2)).asformat(f))
+            for f in FORMATS
+        ),
+        (coo_array((2, 3)), coo_array((3, 2))),
+        (sympy.Symbol("x") + 1, sympy.Symbol("x") + 2),
+        (sympy.Matrix([1, 2]), sympy.Matrix([1, 3])),
+        (sympy.Integer(1), 1),
+        (sympy.lambdify("x", "x + 1"), sympy.lambdify("x", "x + 2")),
+        (sphere("x1"), sphere("x2")),
+        (sphere("x1"), sphere("x1", ["p1*cos(t) - p2*sin(t)", "p1*sin(t) + p2*cos(t)", "p3"])),
+        (
+            ec.problems.oscillating_ellipsoid("decay"),
+            ec.problems.oscillating_ellipsoid("oscillation"),
+        ),
+        (ec.LaggedSolver(price=8), ec.LaggedSolver(price=9)),
+        (ec.DirectSolver(ec.solvers.superlu), ec.DirectSolver(ec.solvers.cholmod)),
+        (decorated(1), decorated(2)),
+        (functools.wraps(bdf.delta)(lambda: 1), functools.wraps(bdf.delta)(lambda: 2)),
+        (functools.wraps(np.sum)(lambda: 1), functools.wraps(np.sum)(lambda: 2)),
     ],
 )
 def test_another_value_of_a_name_is_other_code(old, new):
@@ -205,6 +290,197 @@ def test_another_value_of_a_name_is_other_code(old, new):
 def test_a_method_depends_on_the_attributes_of_its_object():
     assert code_of(Model(1).__call__) == code_of(Model(1).__call__)
     assert code_of(Model(1).__call__) != code_of(Model(2).__call__)
+
+
+def test_which_of_the_objects_that_it_uses_a_name_stands_for_counts():
+    coarse, fine = space(0), space(1)
+
+    def make(chosen):
+        return lambda: (coarse, fine, chosen)
+
+    assert code_of(make(coarse)) == code_of(make(coarse))
+    assert code_of(make(coarse)) != code_of(make(fine))
+
+
+def test_a_decorated_function_counts_with_its_decorator():
+    assert code_of(decorated(1)) == code_of(decorated(1))
+    assert code_of(decorated(1)) != code_of(decorated(2))
+
+
+def test_a_function_with_the_name_of_one_of_the_package_is_none():
+    wrapped = functools.wraps(bdf.delta)(lambda order: 2 * bdf.delta(order))
+    assert not dependencies.is_of_package(wrapped)
+    assert code_of(wrapped) != code_hash(bdf.delta)
+
+
+CLASSES = """
+from collections import namedtuple
+from enum import Enum
+from functools import cached_property, partialmethod, singledispatch
+
+
+class Meta(type):
+    def made(cls):
+        return 1
+
+
+class Kept(metaclass=Meta):
+    @cached_property
+    def value(self):
+        return 2
+
+    def power(self, n):
+        return n
+
+    square = partialmethod(power, 3)
+
+
+class Point(namedtuple("Pair", "x y")):
+    def size(self):
+        return self.x + 4
+
+
+class Colour(Enum):
+    RED = "red"
+
+    def shade(self):
+        return 5
+
+
+class Entries(list):
+    def total(self):
+        return 6
+
+
+@singledispatch
+def kind(x):
+    return x
+
+
+@kind.register
+def _(x: int):
+    return 7
+
+
+RED, POINT, ENTRIES = Colour.RED, Point(1, 2), Entries([1])
+
+
+def compute(size):
+    return Kept().value, POINT.size(), RED.shade(), ENTRIES.total(), kind(size)
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["return 1", "return 2", "power, 3", "self.x + 4", "return 5", "return 6", "return 7"],
+)
+def test_all_that_stands_in_a_class_counts(text):
+    assert CLASSES.count(text) == 1
+    other = CLASSES.replace(text, text[:-1] + "9")
+    assert code_of(compute(CLASSES)) == code_of(compute(CLASSES))
+    assert code_of(compute(other)) != code_of(compute(CLASSES))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from helpers import helper; return helper()",
+        "import helpers; return helpers.helper()",
+        "import helpers as other; return other.helper()",
+        "import helpers as other; return getattr(other, 'helper')()",
+        "return (lambda: MODULE.helper())()",
+        "return CALL()",
+        "return vars(MODULE)",
+    ],
+)
+def test_modules_of_the_user_count_where_they_are_used(line, monkeypatch):
+    helpers = types.ModuleType("helpers")
+    monkeypatch.setitem(sys.modules, "helpers", helpers)
+    source = (
+        f"import helpers as MODULE\nCALL = lambda: MODULE.helper()\ndef compute():\n    {line}\n"
+    )
+    codes = []
+    for value in (1, 1, 2):
+        exec(f"def helper(value={value}): return value", helpers.__dict__)
+        codes.append(code_of(compute(source)))
+    assert codes[0] == codes[1] != codes[2]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import esfem_core as q; return q.bdf.delta(2)",
+        "from esfem_core.stepping import bdf; return bdf.delta(2)",
+        "from esfem_core.stepping.bdf import delta; return delta(2)",
+        "return ec.bdf.delta(2)",
+        "return CALL()",
+    ],
+)
+@pytest.mark.parametrize("place", [ec.__file__, "/python/site-packages/esfem_core/__init__.py"])
+def test_the_package_counts_where_it_is_used_also_when_it_is_installed(line, place, monkeypatch):
+    monkeypatch.setattr(ec, "__file__", place)
+    user_code._is_library.cache_clear()
+    source = (
+        f"import esfem_core as ec\nCALL = lambda: ec.bdf.delta(2)\ndef compute():\n    {line}\n"
+    )
+    before, real = code_of(compute(source)), dependencies.hash_of
+    changed = lambda m, n, p: "new" if n == "delta" else real(m, n, p)  # noqa: E731
+    monkeypatch.setattr(dependencies, "hash_of", changed)
+    assert code_of(compute(source)) != before
+    user_code._is_library.cache_clear()
+
+
+def test_the_order_of_sets_does_not_count():
+    assert list({0, 8}) != list({8, 0})
+    assert code_of(lambda n: n in {0, 8}) == code_of(lambda n: n in {8, 0})
+
+    def make(value):
+        return lambda: value
+
+    assert code_of(make({0, 8})) == code_of(make({8, 0}))
+    assert code_of(make({(0,), Model(8)})) == code_of(make({Model(8), (0,)}))
+
+
+def test_long_chains_of_objects_end():
+    def chain(last):
+        first = model = Model(0)
+        for rate in (*range(2000), last):
+            model.next = model = Model(rate)
+        return lambda: first
+
+    assert code_of(chain(1)) == code_of(chain(1))
+    assert code_of(chain(1)) != code_of(chain(2))
+
+
+class Squares:
+    def __init__(self, matrix):
+        self.matrix, self.solver, self.again = matrix, ec.LaggedSolver(), functools.cache(abs)
+        self.each = np.vectorize(abs, otypes=[float])
+        self.surface = ec.Surface(space(0), space(0).nodes)
+
+    @functools.cached_property
+    def square(self):
+        return self.matrix + self.matrix
+
+
+def test_what_objects_have_computed_in_the_meantime_does_not_count():
+    used = Squares(coo_array(np.eye(3)).tocsr())
+    before = code_of(lambda: used)
+    assert used.square.nnz == 3
+    assert used.solver.solve(used.matrix, np.ones(3), np.zeros(3)).sum() == 3
+    assert used.again(1) == used.each([1])[0] == 1
+    assert used.surface.M.nnz
+    assert code_of(lambda: used) == before
+
+
+def test_what_cannot_be_pickled_counts_by_its_class():
+    def make(value):
+        return lambda: value
+
+    one, two = Lock(), open(__file__)  # noqa: SIM115
+    with two:
+        assert code_of(make(one)) == code_of(make(Lock()))
+        assert code_of(make(one)) != code_of(make(two))
 
 
 def test_what_a_space_or_a_mesh_has_computed_in_the_meantime_does_not_count():
@@ -226,6 +502,4 @@ def test_recursion_ends():
 
 
 def test_a_function_of_the_package_is_read_from_its_file():
-    from esfem_core.study.dependencies import code_hash
-
     assert code_of(bdf.delta) == code_hash(bdf.delta)
