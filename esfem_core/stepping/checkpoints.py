@@ -136,7 +136,9 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
 
     Saved are the last order + 1 states: one more than a run needs to go on, so that
     :func:`respaced` keeps its order. The first time is when the starting values are known, then
-    after each `every` steps, and at the end or when the run fails.
+    after each `every` steps, and at the end or when the run fails or is left. A run that is left
+    with break may be closed much later, when another one has gone on from its file: that one's
+    states are not replaced then.
 
     Warns
     -----
@@ -145,9 +147,10 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
     """
     last: deque[State] = deque(maxlen=order + 1)
     saved: State | None = None
+    found = _identity(path)  # the file as this run has found it, or has written it
 
     def keep(then: str = f"the run goes on and tries again after {every} steps") -> None:
-        nonlocal saved
+        nonlocal saved, found
         if len(last) < order or saved is last[-1]:
             return
         try:
@@ -161,9 +164,8 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
                 stacklevel=3,
             )
         else:
-            saved = last[-1]
+            saved, found = last[-1], _identity(path)
 
-    n = -order
     try:
         for n, state in enumerate(states, start=1 - order):
             last.append(state)
@@ -179,8 +181,21 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
             )
         last.clear()  # do not try again
         raise
-    finally:  # also if it is interrupted, or is left with break
+    except GeneratorExit:  # left with break, now or long ago
+        if _identity(path) not in (found, None):
+            last.clear()
+        raise
+    finally:  # also if it is interrupted
         keep(ENDED)
+
+
+def _identity(path: Path) -> tuple[int, int, int] | None:
+    """What tells the file that is there from any that takes its place; None if there is none."""
+    try:
+        file = path.stat()
+    except OSError:
+        return None
+    return file.st_ino, file.st_mtime_ns, file.st_size
 
 
 def respaced(states: Sequence[State], step: float, order: int | None = None) -> list[State]:

@@ -152,9 +152,9 @@ def evolve(
         Collects what the linear solvers do, to be read while the run goes on.
     save : path, optional
         A file that ends with ".npz", for the last p + 1 states: written as soon as the starting
-        values are known, then every so many steps, and at the end or when the run fails; see
-        :func:`esfem_core.save`. ``space, states = esfem_core.load(path)`` and ``start=states`` go
-        on from there.
+        values are known, then every so many steps, and at the end or when the run fails or is left;
+        see :func:`esfem_core.save`. ``space, states = esfem_core.load(path)`` and ``start=states``
+        go on from there.
     every : int
         Steps from save to save.
     threads : int, optional

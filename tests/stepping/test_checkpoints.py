@@ -163,6 +163,40 @@ def test_a_run_that_fails_leaves_its_last_good_states(tmp_path):
     assert [state.t for state in ec.load(path)[1]] == [0.5, 0.6, 0.7]
 
 
+def test_a_run_that_is_left_saves_its_last_states_when_it_is_closed(tmp_path):
+    path = tmp_path / "run.npz"
+    for taken in (2, 5):  # in place of no file, and of one from an earlier run
+        run = ec.evolve(SPACE, coupled(), 2, 0.1, 1.0, save=path)
+        states = list(islice(run, taken))
+        run.close()
+        assert ec.load(path)[1][-1].t == states[-1].t
+    run = ec.evolve(SPACE, coupled(), 2, 0.1, 1.0, save=path)
+    states = list(islice(run, 4))
+    path.unlink()
+    run.close()
+    assert ec.load(path)[1][-1].t == states[-1].t
+
+
+@pytest.mark.parametrize("every", [2, 50])
+def test_a_run_that_is_left_does_not_replace_the_states_of_one_that_has_gone_on(tmp_path, every):
+    path = tmp_path / "run.npz"
+    left = ec.evolve(SPACE, coupled(), 2, 0.1, 1.0, save=path, every=every)
+    states = list(islice(left, 5))
+    start = ec.respaced(states, 0.05, order=2)
+    *_, last = ec.evolve(SPACE, coupled(), 2, 0.05, 0.6, start=start, save=path)
+    left.close()
+    same(ec.load(path)[1][-1], last)
+
+
+def test_a_run_that_comes_to_its_end_saves_it_whatever_the_file_holds(tmp_path):
+    path = tmp_path / "run.npz"
+    run = ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, save=path)
+    states = list(islice(run, 4))
+    ec.save(path, states)
+    *_, last = run
+    same(ec.load(path)[1][-1], last)
+
+
 def test_a_full_disk_leaves_the_older_file_whole(tmp_path):
     path = tmp_path / "run.npz"
     states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))
