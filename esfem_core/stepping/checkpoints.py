@@ -5,13 +5,14 @@ the scheme has them. A file holds the numbers only, nothing that is executed whe
 problem, the order and the step are given again to :func:`esfem_core.evolve`.
 """
 
+import inspect
 import io
 import json
 import os
 import warnings
 import zipfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ from esfem_core.stepping.scheme import Mass
 from esfem_core.stepping.state import EvolutionError, Method, State, check_state, same_space
 from esfem_core.stepping.times import later
 
-__all__ = ["load", "respaced", "save", "saving", "space_of"]
+__all__ = ["close_idle", "load", "respaced", "save", "saving", "space_of"]
 
 KIND, VERSION = "esfem_core states", 1
 MOST = 6  # states that are made for another step, unless an order asks for more
@@ -131,7 +132,9 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
         raise ValueError(f"{str(path)!r} is damaged: {error}") from error
 
 
-def saving(states: Iterator[State], path: Path, every: int, order: int) -> Iterator[State]:
+def saving(
+    states: Iterator[State], path: Path, every: int, order: int
+) -> Generator[State, None, None]:
     """Hand on the states of a run, and save the last ones now and then.
 
     Saved are the last order + 1 states: one more than a run needs to go on, so that
@@ -187,6 +190,12 @@ def saving(states: Iterator[State], path: Path, every: int, order: int) -> Itera
         raise
     finally:  # also if it is interrupted
         keep(ENDED)
+
+
+def close_idle(states: Generator[State, None, None]) -> None:
+    """Close a run, unless a thread that nobody waits for is in the middle of a step."""
+    if inspect.getgeneratorstate(states) != inspect.GEN_RUNNING:
+        states.close()
 
 
 def _identity(path: Path) -> tuple[int, int, int] | None:

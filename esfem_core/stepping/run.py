@@ -2,6 +2,7 @@
 
 import os
 import warnings
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
@@ -40,7 +41,7 @@ from esfem_core.stepping.agreement import (
     check_start_of_motion,
 )
 from esfem_core.stepping.bdf import MOST_STEPS
-from esfem_core.stepping.checkpoints import saving
+from esfem_core.stepping.checkpoints import close_idle, saving
 from esfem_core.stepping.guard import EvolutionWarning, Guard
 from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
@@ -237,9 +238,13 @@ def evolve(
     check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
-    if file is not None:
-        states = saving(states, file, every, order)
-    return _on_threads(states, threads)
+    if file is None:
+        return _on_threads(states, threads)
+    kept = saving(states, file, every, order)
+    run = _on_threads(kept, threads)
+    # A script may end with the run in a variable: when Python takes that, nothing can be saved.
+    weakref.finalize(run, close_idle, kept)
+    return run
 
 
 def _on_threads(states: Iterator[State], threads: int | None) -> Iterator[State]:

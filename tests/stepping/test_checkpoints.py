@@ -15,6 +15,7 @@ import pytest
 from full_disk import room
 
 import esfem_core as ec
+from esfem_core.stepping.checkpoints import close_idle
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
 MASSES = ["updated", "extrapolated", "reassembled"]
@@ -175,6 +176,41 @@ def test_a_run_that_is_left_saves_its_last_states_when_it_is_closed(tmp_path):
     path.unlink()
     run.close()
     assert ec.load(path)[1][-1].t == states[-1].t
+
+
+ENDED = """
+import sys
+import esfem_core as ec
+
+space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+run = ec.evolve(space, ec.Problem(1.0, motion=lambda p, t: p), 2, 0.1, 1.0, save=sys.argv[1])
+for state in run:
+    if state.t > 0.65:
+        sys.exit("enough")
+"""
+
+
+def test_a_script_that_ends_with_a_run_in_a_variable_saves_its_last_states(tmp_path):
+    path = tmp_path / "run.npz"
+    ended = subprocess.run(
+        [sys.executable, "-c", ENDED, path],
+        env=os.environ | {"PYTHONPATH": str(Path(ec.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+    )
+    assert (ended.returncode, ended.stderr) == (1, "enough\n")
+    assert ec.load(path)[1][-1].t == 0.7
+
+
+def test_a_run_is_not_closed_in_the_middle_of_a_step():
+    def steps():
+        close_idle(run)
+        yield from (1, 2)
+
+    run = steps()
+    assert next(run) == 1
+    close_idle(run)
+    assert list(run) == []
 
 
 @pytest.mark.parametrize("every", [2, 50])
