@@ -124,10 +124,10 @@ def evolve(
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
         the default if it is given with all functions. "euler": linearly implicit Euler steps,
         extrapolated to order p, with updated mass matrices. Otherwise the states to start from, of
-        which the last p count, a step apart: the run goes on from the last one. From its own states
-        it goes on as if it had not been interrupted, to the last bit with direct solves and else
-        to the tolerance of the solver; :func:`esfem_core.respaced` makes states that are another
-        step apart.
+        which the last p count, a step apart: the run goes on from the last one. Functions that the
+        problem does not have are left behind. From its own states it goes on as if it had not been
+        interrupted, to the last bit with direct solves and else to the tolerance of the solver;
+        :func:`esfem_core.respaced` makes states that are another step apart.
         Exact values at (p - 1) tau also restart the spatial error there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
@@ -351,13 +351,20 @@ def _checked_start(
     for i, state in enumerate(states):
         check_state(space, state, f"start[{i}]")
         _check_functions(f"start[{i}]", problem, state)
+    for i, state in enumerate(states):
+        for key in problem.all_species:
+            if state[key].shape != (shape := states[-1][key].shape):
+                raise ValueError(
+                    f"start[{i}][{key!r}] must have the shape {shape} that it has in the "
+                    f"last state, got {state[key].shape}"
+                )
     times = [state.t for state in states]
     wanted = [times[-1] - j * step for j in reversed(range(order))]
     if not np.allclose(times, wanted, rtol=1e-9, atol=1e-9 * step):
         raise ValueError(
             f"start must hold states that are a step of {step:g} apart, got times {times}"
         )
-    return states
+    return [_of_problem(space, problem, state) for state in states]
 
 
 def _check_functions(name: str, problem: Problem, state: State) -> None:
@@ -372,6 +379,22 @@ def _check_functions(name: str, problem: Problem, state: State) -> None:
                 f"{name}[{key!r}] must have {np.size(species.diffusivity)} components, one for "  # type: ignore[arg-type]
                 f"each diffusivity, got shape {state[key].shape}"
             )
+
+
+def _of_problem(space: SurfaceSpace, problem: Problem, state: State) -> State:
+    """The state as those have it that follow: with its space, and functions of the problem only."""
+    names = list(problem.all_species)
+    if state.space is not None and list(state.fields) == names:
+        return state
+    return State(
+        state.t,
+        state.x,
+        state.v,
+        space=space,
+        fields={name: state[name] for name in names},
+        products={name: b for name, b in state.products.items() if name in names},
+        method=state.method,
+    )
 
 
 def _steps_after_start(given: StartName | list[State], order: int, step: float, end: float) -> int:

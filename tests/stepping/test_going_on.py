@@ -220,12 +220,39 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
             ValueError,
             r"start\[0\]\['a'\] must be finite, but start\[0\]\['a'\]\[0\] is nan",
         ),
+        (
+            lambda s: [
+                s[0],
+                dataclasses.replace(s[1], fields=s[1].fields | {"a": s[1].x}),
+            ],
+            ValueError,
+            r"start\[0\]\['a'\] must have the shape \(66, 3\) that it has in the last state, got",
+        ),
     ],
 )
 def test_states_to_start_from_are_refused_at_the_call(start, error, message):
     states = run(PROBLEMS["two species"], 2, end=3 * STEP)
     with pytest.raises(error, match=message):
         ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=start(states))
+
+
+def test_states_need_not_know_their_space(tmp_path):
+    states = run(PROBLEMS["two species"], 2, end=3 * STEP)
+    bare = [ec.State(s.t, s.x, s.v, fields=s.fields) for s in states]
+    options = {"order": 2, "step": STEP, "end": 6 * STEP, "save": tmp_path / "run.npz", "every": 1}
+    again = list(ec.evolve(SPACE, PROBLEMS["two species"], start=bare, **options))
+    assert {state.space for state in again} == {SPACE}
+    assert ec.load(tmp_path / "run.npz")[1][-1].t == again[-1].t
+
+
+def test_functions_that_the_problem_does_not_have_are_left_behind(tmp_path):
+    """Saved after every step: all states of a file have the same functions."""
+    states = run(PROBLEMS["two species on a motion"], 2, end=3 * STEP)
+    alone = ec.Problem(species={"a": ec.Species(1.0)}, law=ec.laws.Prescribed(stretch))
+    options = {"order": 2, "step": STEP, "end": 6 * STEP, "save": tmp_path / "run.npz", "every": 1}
+    again = list(ec.evolve(SPACE, alone, start=states, **options))
+    assert {(*state.fields, *state.products) for state in again[1:]} == {("a", "a")}
+    same(ec.load(tmp_path / "run.npz")[1][-1], again[-1])
 
 
 def test_states_of_another_space_with_as_many_nodes_are_refused():
