@@ -133,7 +133,7 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
 
 
 def saving(
-    states: Iterator[State], path: Path, every: int, order: int
+    states: Iterator[State], path: Path, every: int, order: int, before: Sequence[State] = ()
 ) -> Generator[State, None, None]:
     """Hand on the states of a run, and save the last ones now and then.
 
@@ -141,20 +141,22 @@ def saving(
     :func:`respaced` keeps its order. The first time is when the starting values are known, then
     after each `every` steps, and at the end or when the run fails or is left. A run that is left
     with break may be closed much later, when another one has gone on from its file: that one's
-    states are not replaced then.
+    states are not replaced then. What is known of states `before` those of the run is saved with
+    them, so that a file does not lose them when a run goes on from it.
 
     Warns
     -----
     EvolutionWarning
         If the file cannot be written: the older one is untouched, and the run goes on.
     """
-    last: deque[State] = deque(maxlen=order + 1)
+    last = deque(before, maxlen=order + 1)
+    n = -order  # of the last step; at 0 the starting values are known
     saved: State | None = None
     found = _identity(path)  # the file as this run has found it, or has written it
 
     def keep(then: str = f"the run goes on and tries again after {every} steps") -> None:
         nonlocal saved, found
-        if len(last) < order or saved is last[-1]:
+        if n < 0 or not last or saved is last[-1]:
             return
         try:
             _write(path, space_of(list(last)), list(last))

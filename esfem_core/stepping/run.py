@@ -41,7 +41,7 @@ from esfem_core.stepping.agreement import (
     check_start_of_motion,
 )
 from esfem_core.stepping.bdf import MOST_STEPS
-from esfem_core.stepping.checkpoints import close_idle, saving
+from esfem_core.stepping.checkpoints import close_idle, saving, space_of
 from esfem_core.stepping.guard import EvolutionWarning, Guard
 from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
@@ -240,7 +240,7 @@ def evolve(
     states = _run(scheme, order, step, n_steps, end, given, guard)
     if file is None:
         return _on_threads(states, threads)
-    kept = saving(states, file, every, order)
+    kept = saving(states, file, every, order, _before(space, problem, start, given))
     run = _on_threads(kept, threads)
     # A script may end with the run in a variable: when Python takes that, nothing can be saved.
     weakref.finalize(run, close_idle, kept)
@@ -395,6 +395,26 @@ def _of_problem(space: SurfaceSpace, problem: Problem, state: State) -> State:
         products={name: b for name, b in state.products.items() if name in names},
         method=state.method,
     )
+
+
+def _before(
+    space: SurfaceSpace,
+    problem: Problem,
+    start: StartName | Sequence[State] | None,
+    given: StartName | list[State],
+) -> list[State]:
+    """The state before those to start from, if there is one of the same space and functions."""
+    if isinstance(start, str | None) or isinstance(given, str) or len(start) == len(given):
+        return []
+    state = start[-len(given) - 1]
+    try:
+        check_state(space, state)
+        _check_functions("state", problem, state)
+        state = _of_problem(space, problem, state)
+        space_of([state, *given])
+    except ValueError:
+        return []
+    return [state]
 
 
 def _steps_after_start(given: StartName | list[State], order: int, step: float, end: float) -> int:

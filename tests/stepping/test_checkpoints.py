@@ -224,6 +224,38 @@ def test_a_run_that_is_left_does_not_replace_the_states_of_one_that_has_gone_on(
     same(ec.load(path)[1][-1], last)
 
 
+@pytest.mark.parametrize("mass", ["updated", "extrapolated"])
+def test_a_run_that_goes_on_and_fails_at_once_leaves_its_file_as_good_as_it_was(tmp_path, mass):
+    path = tmp_path / "run.npz"
+    failing = coupled(source=lambda at: at["u"] * np.nan)
+    list(ec.evolve(SPACE, coupled(), 3, 0.1, 0.8, mass=mass, save=path))
+    space, states = ec.load(path)
+    with pytest.raises(ec.EvolutionError, match="nan"):
+        list(ec.evolve(space, failing, 3, 0.1, 1.0, mass=mass, start=states, save=path))
+    _, again = ec.load(path)
+    for one, other in zip(again, states, strict=True):
+        same(one, other)
+    run = ec.evolve(space, coupled(), 3, 0.1, 1.0, start=states, save=tmp_path / "new.npz")
+    list(islice(run, 2))
+    run.close()
+    assert not (tmp_path / "new.npz").exists()  # its starting values were not yet known
+
+
+def test_a_state_before_those_to_start_from_that_does_not_fit_is_not_saved(tmp_path):
+    path = tmp_path / "run.npz"
+    states = list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4))
+    other = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    for unfit in (
+        ec.State(0.2, other.nodes, space=other),
+        ec.State(0.2, SPACE.nodes),
+        ec.State(0.2, np.nan * SPACE.nodes, fields=states[2].fields),
+        states[-1],
+    ):
+        start = [unfit, *states[-2:]]
+        list(ec.evolve(SPACE, coupled(), 2, 0.1, 0.4, start=start, save=path))
+        assert [state.t for state in ec.load(path)[1]] == [0.3, 0.4]
+
+
 def test_a_run_that_comes_to_its_end_saves_it_whatever_the_file_holds(tmp_path):
     path = tmp_path / "run.npz"
     run = ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, save=path)
