@@ -35,7 +35,7 @@ class Guard:
     fields : mapping of str to (N, ...) float array
         Functions at the start.
     growth : float
-        Factor by which the largest value of a function may grow.
+        Factor by which the largest value of a function may grow, unless that is zero.
     """
 
     def __init__(
@@ -158,6 +158,8 @@ class Guard:
     def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
         """Refuse functions that are not finite or have grown beyond all bounds.
 
+        Nothing is a multiple of zero: a function that starts from it has no bound.
+
         Raises
         ------
         FloatingPointError
@@ -169,9 +171,8 @@ class Guard:
                 raise FloatingPointError(
                     f"{name} is not finite at node {node} near {_rounded(x[node])}"
                 )
-            start = self._largest.get(name) or largest
-            self._largest[name] = start
-            if largest <= min(GROWTH, self._growth) * start:
+            start = self._largest[name]
+            if start == 0 or largest <= min(GROWTH, self._growth) * start:
                 continue
             node = int(np.argmax(np.abs(w).reshape(len(w), -1).max(axis=1)))
             text = (
@@ -180,7 +181,10 @@ class Guard:
                 "for what is explicit, or the solution blows up"
             )
             if largest > self._growth * start:
-                raise FloatingPointError(f"{text} (allowed: growth = {self._growth:g} times)")
+                raise FloatingPointError(
+                    f"{text} (allowed: growth = {self._growth:g} times; growth=inf lets it go on, "
+                    "such as from values that are zero but for rounding)"
+                )
             self._warn_once(name, text)
 
     def _triangles(self, x: Array) -> tuple[Array, Array, Array]:

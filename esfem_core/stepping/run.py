@@ -148,7 +148,8 @@ def evolve(
         n have those of n, too. With a prescribed motion, r_v and r_x do not count.
     growth : float
         How much larger than at the start the values of a function may become before the run stops
-        with an error, or infinity; at a factor of 1e6 it warns.
+        with an error, or infinity; at a factor of 1e6 it warns. What is zero at the start has no
+        bound; what is zero but for rounding needs infinity.
     statistics : Statistics, optional
         Collects what the linear solvers do, to be read while the run goes on.
     save : path, optional
@@ -210,8 +211,7 @@ def evolve(
     order = _checked_order(order, flag("allow_unstable", allow_unstable))
     step = number("step", step, above=0)
     one_of("mass", mass, Mass)
-    if not (isinstance(growth, float) and growth == np.inf):
-        growth = number("growth", growth, above=1)
+    growth = _checked_growth(growth)
     if perturbation is not None:
         function("perturbation", perturbation, "perturbation(n) of the number of a step, or None")
     if statistics is not None:
@@ -313,6 +313,12 @@ def _checked_order(order: int, allow_unstable: bool) -> int:
             stacklevel=3,
         )
     return order
+
+
+def _checked_growth(growth: float) -> float:
+    if isinstance(growth, float | np.floating | np.ndarray) and np.array_equal(growth, np.inf):
+        return np.inf
+    return number("growth", growth, above=1)
 
 
 def _checked_start(

@@ -302,17 +302,16 @@ class TestFunctions:
             guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1e12)})
         with pytest.raises(
             FloatingPointError,
-            match=r"u has grown to 1\.1e\+12, .* \(allowed: growth = 1e\+12 times\)",
+            match=r"u has grown to 1\.1e\+12, .* \(allowed: growth = 1e\+12 times; growth=inf lets",
         ):
             guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1.1e12)})
 
-    def test_a_function_that_starts_from_zero_is_measured_from_its_first_values(self):
-        own = guard(u=np.zeros(N))
-        own.check_functions(X, {"u": np.zeros(N)})
-        own.check_functions(X, {"u": np.full(N, 1e-3)})
-        own.check_functions(X, {"u": np.full(N, 1e3)})
-        with pytest.warns(ec.EvolutionWarning, match=r"u has grown to 2e\+03, 2e\+06 times"):
-            own.check_functions(X, {"u": np.full(N, 2e3)})
+    def test_a_function_that_starts_from_zero_has_no_bound_but_must_be_finite(self):
+        own = guard(growth=2, u=np.zeros(N))
+        for size in (0.0, 1e-300, 1.0, 1e300):
+            own.check_functions(X, {"u": np.full(N, size)})
+        with pytest.raises(FloatingPointError, match="u is not finite"):
+            own.check_functions(X, {"u": np.full(N, np.inf)})
 
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
     def test_what_is_not_finite_has_a_place(self, value):
@@ -329,7 +328,7 @@ class TestGrowthInRuns:
         states = []
         with (
             pytest.warns(ec.EvolutionWarning, match="u has grown to") as caught,
-            pytest.raises(ec.EvolutionError, match=STEP + r".*growth = 1e\+12 times\)") as error,
+            pytest.raises(ec.EvolutionError, match=STEP + r".*growth = 1e\+12 times") as error,
         ):
             states.extend(ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0))
         # Each step multiplies by 11: 11^6 > 1e6 and 11^12 > 1e12.
@@ -343,6 +342,28 @@ class TestGrowthInRuns:
         with pytest.raises(ec.EvolutionError, match="u has grown to") as error:
             states.extend(ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 10.0, growth=growth))
         assert error.value.step == len(states) == steps
+
+    def test_a_pulse_from_nothing_has_the_amount_of_its_source(self):
+        """From values of 1e-44 in the first step to the integral of the pulse."""
+        problem = ec.Problem(
+            0.0, f=lambda at: np.exp(-(((at.t - 0.5) / 0.05) ** 2)), motion=lambda p, t: p
+        )
+        *_, last = ec.evolve(SPACE, problem, 2, 0.01, 1.0)
+        np.testing.assert_allclose(last.u, 0.05 * np.sqrt(np.pi), rtol=1e-9)
+
+    def test_what_is_zero_but_for_rounding_is_let_on_as_the_message_says(self):
+        problem = ec.Problem(lambda x: 1e-16 * x[:, 0], f=lambda at: 1.0, motion=lambda p, t: p)
+        with pytest.raises(ec.EvolutionError, match=r"growth=inf lets it go on, such as from val"):
+            list(ec.evolve(SPACE, problem, 1, 0.1, 1.0))
+        with pytest.warns(ec.EvolutionWarning, match="u has grown to"):
+            *_, last = ec.evolve(SPACE, problem, 1, 0.1, 1.0, growth=np.inf)
+        np.testing.assert_allclose(last.u, 1.0, rtol=1e-9)
+
+    @pytest.mark.parametrize("infinity", [np.float32("inf"), np.float64("inf"), np.array(np.inf)])
+    def test_infinity_may_be_a_number_of_any_library(self, infinity):
+        with pytest.warns(ec.EvolutionWarning, match="u has grown to"):
+            *_, last = ec.evolve(SPACE, self.PROBLEM, 1, 0.1, 1.5, growth=infinity)
+        np.testing.assert_allclose(last.u, 11.0**15, rtol=1e-9)
 
     @pytest.mark.parametrize("growth", [1, 0.5, -np.inf, np.nan])
     def test_bounds_that_are_none_are_refused(self, growth):
