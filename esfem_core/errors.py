@@ -1,5 +1,6 @@
 """Norms on discrete surfaces, and errors against an exact solution."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from scipy.sparse import csr_array, issparse
 from esfem_core.checks import Array, finite_array, function, iterable, object_of, real_array, shown
 from esfem_core.elements import SurfaceSpace, squared_differences
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, check_state, exact_state
+from esfem_core.stepping import State, check_state, exact_state, same_time
 
 __all__ = [
     "Errors",
@@ -300,7 +301,7 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
 
 def _difference(space: SurfaceSpace, state: State, reference: State, name: str) -> Errors:
     check_state(space, reference, name)
-    if abs(state.t - reference.t) > 1e-9 * max(1.0, abs(reference.t)):
+    if not same_time(state.t, reference.t):
         raise ValueError(
             f"{name} must be at the time of state, t = {state.t}, but is at {reference.t}"
         )
@@ -341,7 +342,8 @@ def time_norms(
     states : iterable of State
         A run with constant step tau, as :func:`esfem_core.evolve` yields it; none is kept.
     window : (float, float)
-        First and last time t_n to count, both included (to 1e-9), starting states excluded.
+        First and last time t_n to count, both included (to a relative 1e-12), starting states
+        excluded.
     measure : callable, optional
         :func:`compare` or :func:`lifted`, or another that returns :class:`Errors`.
 
@@ -377,7 +379,8 @@ def time_norms(
         check_state(space, state, f"states[{i}]")
         times.append(state.t)
         _check_step(times)
-        if state.v is not None and first - 1e-9 <= state.t <= last + 1e-9:
+        inside = first <= state.t <= last or same_time(state.t, first) or same_time(state.t, last)
+        if inside and state.v is not None:
             found = measure(space, problem, state)
             errors.append(object_of("what measure returns", found, Errors))
     if not errors:
@@ -405,7 +408,8 @@ def _check_step(times: list[float]) -> None:
     if len(times) < 2:
         return
     tau, last = times[1] - times[0], times[-1] - times[-2]
-    if not (tau > 0 and abs(last - tau) <= 1e-6 * tau):
+    rounding = 2 * math.ulp(max(abs(times[0]), abs(times[-1])))
+    if not (tau > 0 and abs(last - tau) <= 1e-6 * tau + rounding):
         raise ValueError(
             f"states must be one positive, constant step apart, got steps of {tau:g} and {last:g}"
         )

@@ -80,6 +80,17 @@ def test_states_at_different_times_are_refused():
         ec.errors.difference(SPACE, exact_state(0.1), exact_state(0.2))
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_states_are_at_the_same_time_in_any_unit(unit):
+    state = exact_state(0.3)
+    one, same, other = (
+        dataclasses.replace(state, t=unit * t) for t in (0.3, 0.1 + 0.1 + 0.1, 0.3 + 1e-9)
+    )
+    assert max(ec.errors.difference(SPACE, one, same)) == 0
+    with pytest.raises(ValueError, match="reference must be at the time of state"):
+        ec.errors.difference(SPACE, one, other)
+
+
 def test_a_column_is_not_broadcast_against_a_vector():
     state, n = exact_state(0.3), len(SPACE.nodes)
     column = with_u(state, state.u[:, None])
@@ -187,6 +198,13 @@ class TestNormsOverARun:
         message = "what measure returns must be an Errors, got "
         with pytest.raises(TypeError, match=message):
             self.norms(self.RUN, measure=lambda space, problem, state: found)
+
+    @pytest.mark.parametrize(("t", "step"), [(0.0, 1e-10), (1.7e9, 0.1), (1.7e9, 1 / 7)])
+    def test_a_window_holds_its_steps_however_short_and_late_they_are(self, t, step):
+        run = [dataclasses.replace(self.RUN[1], t=t + n * step) for n in range(11)]
+        ones = ec.errors.Errors(*[1.0] * 6)
+        found = self.norms(run, (t + 5 * step, t + 6 * step), lambda *given: ones)
+        assert found == pytest.approx((1, np.sqrt(2 * step)), rel=1e-5)
 
     def test_an_empty_window_is_refused(self):
         with pytest.raises(ValueError, match="window must hold a step after the starting states"):

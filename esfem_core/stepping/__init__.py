@@ -11,6 +11,7 @@ from esfem_core.stepping.scheme import Mass, Perturbation
 from esfem_core.stepping.start import exact_state
 from esfem_core.stepping.state import EvolutionError, State, check_state
 from esfem_core.stepping.systems import Statistics
+from esfem_core.stepping.times import same_time
 
 __all__ = [
     "MASSES",
@@ -29,6 +30,7 @@ __all__ = [
     "measure",
     "remeshed",
     "respaced",
+    "same_time",
     "save",
     "write_whole",
 ]

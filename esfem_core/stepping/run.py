@@ -1,5 +1,6 @@
 """Runs: arguments checked, starting values made, steps taken."""
 
+import math
 import os
 import warnings
 import weakref
@@ -47,7 +48,7 @@ from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
-from esfem_core.stepping.times import count_steps, following
+from esfem_core.stepping.times import TOLERANCE, count_steps, following
 
 __all__ = ["MASSES", "evolve"]
 
@@ -366,7 +367,9 @@ def _checked_start(
                 )
     times = [state.t for state in states]
     wanted = [times[-1] - j * step for j in reversed(range(order))]
-    if not np.allclose(times, wanted, rtol=1e-9, atol=1e-9 * step):
+    # Each of the times is rounded, and so are sums of the step.
+    tolerance = TOLERANCE * step + order * math.ulp(max(map(abs, times)))
+    if not np.allclose(times, wanted, rtol=0, atol=tolerance):
         raise ValueError(
             f"start must hold states that are a step of {step:g} apart, got times {times}"
         )

@@ -1,16 +1,17 @@
 """Times of the steps, the same however often a run is interrupted."""
 
+import math
 from collections.abc import Iterator
 from fractions import Fraction
 
 from esfem_core.checks import number
 
-__all__ = ["count_steps", "following", "later"]
+__all__ = ["count_steps", "following", "later", "same_time"]
 
 LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
 NEAR = 1000  # below it two such fractions, at least 1e-12 apart, are never rounded to one double
 TOLERANCE = 1e-9
-ROUNDING = 1e-12  # of a time: however long the step, a later end is not reached by no step
+ROUNDING = 1e-12  # of a time, after many steps; what differs by more is not the same
 
 
 def later(t: float, step: float) -> float:
@@ -50,6 +51,19 @@ def _meant(value: float) -> Fraction:
     return simple if float(simple) == value else Fraction(value)
 
 
+def same_time(t: float, other: float) -> bool:
+    """Whether two times differ by the rounding of the steps that lead to them at most.
+
+    However small they are: a step of 1e-10 is as good as one of 1.
+
+    Examples
+    --------
+    >>> same_time(0.1 + 0.1 + 0.1, 0.3), same_time(2e-10, 3e-10)
+    (True, False)
+    """
+    return abs(t - other) <= ROUNDING * max(abs(t), abs(other))
+
+
 def count_steps(start: float, step: float, end: float) -> int:
     """Number of steps from start to end.
 
@@ -57,7 +71,7 @@ def count_steps(start: float, step: float, end: float) -> int:
     ------
     ValueError, TypeError
         If a number is not finite, the step is not positive, the end before the start, or the number
-        of steps not an integer to a relative 1e-9.
+        of steps not an integer to a relative 1e-9 and the rounding of the times.
 
     Examples
     --------
@@ -73,8 +87,9 @@ def count_steps(start: float, step: float, end: float) -> int:
     n_steps = round(quotient)
     if n_steps < 0:
         raise ValueError(f"end must not be before the start at t = {start!r}, got {end!r}")
-    nothing = n_steps == 0 and abs(end - start) > ROUNDING * max(abs(start), abs(end))
-    if nothing or abs(quotient - n_steps) > TOLERANCE * max(1, n_steps):
+    nothing = n_steps == 0 and not same_time(start, end)
+    rounded = math.ulp(max(abs(start), abs(end))) / step
+    if nothing or abs(quotient - n_steps) > TOLERANCE * max(1, n_steps) + rounded:
         between = f"({end!r} - {start!r})/{step!r}" if start else f"{end!r}/{step!r}"
         raise ValueError(f"end/step must be an integer, got {between} = {quotient!r}")
     return n_steps

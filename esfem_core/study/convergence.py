@@ -25,7 +25,7 @@ from esfem_core.checks import (
 from esfem_core.elements import SurfaceSpace
 from esfem_core.errors import Errors, Measure, compare, difference, lifted
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, check_state, evolve
+from esfem_core.stepping import State, check_state, evolve, same_time
 from esfem_core.tables import html_table
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
@@ -333,7 +333,7 @@ def time_study(
         fine = items("fine", fine, State, 2)
         reference = fine[-1]
         starts = [{"start": _every(fine, tau)[:order]} for tau in taus]
-    if reference is not None and abs(reference.t - end) > 1e-9 * max(1.0, abs(end)):
+    if reference is not None and not same_time(reference.t, end):
         name = "reference" if fine is None else "fine"
         raise ValueError(f"{name} must end at t = {end:g}, but ends at t = {reference.t:g}")
     _check_comparable(problem, reference, measure)

@@ -1,5 +1,6 @@
 """The time schemes: what they satisfy exactly, what they refuse, how they stop."""
 
+import dataclasses
 import sys
 from itertools import islice
 
@@ -229,6 +230,18 @@ def test_starting_states_must_be_a_step_apart():
             ValueError, match=r"start must hold states that are a step of|end must not be before"
         ):
             ec.evolve(SPACE, wobble(), 2, 0.05 if end < 0.5 else 0.1, end, start=start)
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1, 1e-3])
+@pytest.mark.parametrize("t", [0.0, 1.7e9, -1.7e9])
+def test_starting_states_are_a_step_apart_however_late_they_are(t, step):
+    at = [ec.State(t + j * step, SPACE.nodes, None, SPACE.nodes[:, 0]) for j in range(5)]
+    problem = ec.Problem(1.0, law=ec.laws.Prescribed(velocity=lambda x, t: 0 * x))
+    for order in (2, 5):
+        ec.evolve(SPACE, problem, order, step, t + 9 * step, start=at)
+    for start in (at[2:5:2], [at[3], dataclasses.replace(at[4], t=t + 4.01 * step)]):
+        with pytest.raises(ValueError, match="start must hold states that are a step of"):
+            ec.evolve(SPACE, problem, 2, step, t + 20 * step, start=start)
 
 
 REFUSED = [

@@ -106,6 +106,14 @@ def test_numbers_of_steps_are_refused(arguments, error, message):
         count_steps(*arguments)
 
 
+@pytest.mark.parametrize("step", [0.1, 1 / 7, 1e-3])
+def test_steps_to_an_end_that_is_rounded_are_counted(step):
+    """Seconds since 1970: neighbouring floats are 2.4e-7 apart."""
+    assert count_steps(1.7e9, step, 1.7e9 + 20 * step) == 20
+    with pytest.raises(ValueError, match="end/step must be an integer"):
+        count_steps(1.7e9, step, 1.7e9 + 20.01 * step)
+
+
 def test_an_end_that_is_later_than_rounding_is_reached_by_no_step():
     """However long the step."""
     assert count_steps(1.0, 1e6, 1 + 0.5e-12) == 0

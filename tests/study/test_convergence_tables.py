@@ -174,6 +174,9 @@ def test_studies_refuse_before_they_compute():
         space_study([SPACE, SPACE], ec.problems.expanding_sphere(), 2, 0.1, 0.5, solver=solver)
     with pytest.raises(ValueError, match=r"reference must end at t = 0\.5, but ends at t = 0\.3"):
         time_study(SPACE, GROWING, 2, [0.1], 0.5, reference=FINE[48], solver=solver)
+    later = ec.State(9e-10, SPACE.nodes, None, SPACE.nodes[:, 0])
+    with pytest.raises(ValueError, match=r"reference must end at t = 5e-10, but ends at t = 9e-10"):
+        time_study(SPACE, GROWING, 2, [1e-10], 5e-10, reference=later, solver=solver)
     coarse = ec.SurfaceSpace(ec.sphere("icosahedron", 0))
     other = ec.State(0.5, coarse.nodes, None, coarse.nodes[:, 0], space=coarse)
     with pytest.raises(ValueError, match="reference must be a state of this space"):
