@@ -232,8 +232,7 @@ def evolve(
     )
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
-    for name, values in first.fields.items():
-        scheme.fixed(name, first.x, first.t, values)  # refused here, not in the first step
+    _check_fixed(scheme, first)
     if isinstance(given, str) and problem.exact is not None:
         check_exact(space, problem, step)
     check_slip(space, problem.law, first)
@@ -452,6 +451,15 @@ def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
         law = law.law
     if isinstance(law, Regularised) and law.alpha == 0 < law.beta:
         _warn_of_no_alpha(space, order)
+
+
+def _check_fixed(scheme: Scheme, first: State) -> None:
+    """Refuse given values that do not fit at the start here, not in the first step."""
+    for name, values in first.fields.items():
+        try:
+            scheme.fixed(name, first.x, first.t, values)
+        except FloatingPointError as error:
+            raise ValueError(str(error)) from error
 
 
 def _warn_of_no_alpha(space: SurfaceSpace, order: int) -> None:
