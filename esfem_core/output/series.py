@@ -94,15 +94,19 @@ class SeriesWriter:
         Raises
         ------
         TypeError, ValueError
-            If it is no state that knows its space, has other functions than the one before, an
-            earlier time, or a function with a name that XML cannot hold.
+            If it is no state that knows its space, has other functions than the one before, also in
+            a series that it goes on with, an earlier time, or a function with a name that XML
+            cannot hold.
         OSError
             If a file cannot be written; the series is what it was.
         """
         arrays = self._point_data(state)
         if self._last is None:
-            self._written = [entry for entry in self._written if entry[0] < state.t]
-            self._number = _first_free(self.path.stem, (name for _, name in self._written))
+            kept = [entry for entry in self._written if entry[0] < state.t]
+            if kept:
+                _check_arrays(self.path.parent / kept[-1][1], state.t, arrays)
+            self._written = kept
+            self._number = _first_free(self.path.stem, (name for _, name in kept))
         name = f"{self.path.stem}_{self._number:05d}.vtu"
         written = [*self._written, (state.t, name)]
         write_whole(self.path.with_name(name), _vtu(state, arrays))
@@ -320,6 +324,25 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
 def _functions(state: State) -> str:
     """Names and shapes of the functions of a state, as a message shows them."""
     return ", ".join(f"{n!r} {('N', *w.shape[1:])}" for n, w in state.fields.items()) or "none"
+
+
+def _check_arrays(file: Path, t: float, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse to go on from a VTU file with other arrays; one that cannot be read has none."""
+    try:
+        listed = ElementTree.parse(file).iterfind(".//PointData/DataArray")
+        before = {e.get("Name", ""): int(e.get("NumberOfComponents", 1)) for e in listed}
+    except (OSError, ElementTree.ParseError, ValueError):
+        return
+    now = {name: values[0].size for name, values in arrays.items()}
+    if now != before:
+        raise ValueError(
+            f"states of a series must have the same functions, but for that of t = {t:g} there are "
+            f"{_components(now)}, and in {str(file)!r} {_components(before)}"
+        )
+
+
+def _components(arrays: Mapping[str, int]) -> str:
+    return ", ".join(f"{name!r} ({count})" for name, count in arrays.items())
 
 
 def _check_for_xml(name: str, text: str) -> None:

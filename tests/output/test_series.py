@@ -174,6 +174,28 @@ def test_a_series_that_goes_on_never_takes_the_name_of_a_file_that_it_keeps(tmp_
     np.testing.assert_array_equal(meshio.read(tmp_path / "run_00001.vtu").points, run[1].x)
 
 
+def test_a_series_goes_on_with_the_functions_that_it_has(tmp_path):
+    one, path = states(1)[0], tmp_path / "run.pvd"
+    pair = {"u": one.x[:, 0], "pair": one.x[:, :2]}
+
+    def at(t, fields):
+        return ec.State(t, one.x, None, space=one.space, fields=fields)
+
+    ec.save_series(path, [at(0.0, pair)])
+    before = path.read_bytes()
+    message = r"same functions, .* t = 1 .* .*00000\.vtu' 'u' \(1\), 'pair' \(2\), 'v' \(3\)$"
+    for fields, normals in [({"w": one.u}, False), ({"u": one.x}, False), (pair, True)]:
+        with pytest.raises(ValueError, match=message):
+            ec.save_series(path, [at(1.0, fields)], normals=normals, go_on=True)
+    assert (path.read_bytes(), len(os.listdir(tmp_path))) == (before, 2)
+    ec.save_series(path, [at(1.0, dict(reversed(pair.items())))], go_on=True)
+    (tmp_path / "run_00001.vtu").unlink()  # nothing to compare with
+    ec.save_series(path, [at(2.0, pair)], go_on=True)
+    assert [t for t, _ in entries(path)] == [0.0, 1.0, 2.0]
+    ec.save_series(path, [at(0.0, {"w": one.x[:, 0]})], go_on=True)  # nothing is kept
+    assert [t for t, _ in entries(path)] == [0.0]
+
+
 @pytest.mark.parametrize(
     "text",
     [
