@@ -179,7 +179,7 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
         faces = _agree(faces, steps)
         faces, count = unfolded(vertices, faces)
         if count:
-            steps.append(f"cut {counted(count, 'polygon')} anew, which lay on themselves")
+            steps.append(f"cut {counted(count, 'polygon')} anew, whose triangles lay on each other")
         faces = _fill(vertices, faces, holes, steps)
         faces = _flip_flat(vertices, faces, steps)
         vertices, faces = _split(vertices, faces, steps)
