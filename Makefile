@@ -87,7 +87,8 @@ $(FIREFOX)/.installed: tests/pages/firefox.txt
 	touch $@
 
 check-firefox: book $(FIREFOX)/.installed ## the same in the Firefox of the system, but for print, the dark and axe
-	BROWSER=firefox $(FIREFOX)/bin/python -m pytest -q -n 2 tests/pages/test_browser.py
+	BROWSER=firefox $(FIREFOX)/bin/python -m pytest -q -n 2 -k "not bars_a_reader" tests/pages/test_browser.py \
+	    tests/pages/test_each_page.py
 
 check-lite: lite ## chapters that run in the browser, without network: some minutes
 	$(BIN)/python -m pytest -q -x tests/lite

@@ -28,7 +28,7 @@ def pytest_generate_tests(metafunc):
     """Run a test that asks for a page on each page, and one that asks for a seen one on those."""
     for name, pages in (("page", PAGES), ("seen", SEEN)):
         if name in metafunc.fixturenames:
-            metafunc.parametrize(name, pages)
+            metafunc.parametrize(name, pages, scope="session")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -104,6 +104,15 @@ class Reader:
         self.tab.goto((HTML / page).as_uri(), wait_until="load", timeout=60_000)
         self.tab.evaluate("() => window.MathJax && MathJax.startup && MathJax.startup.promise")
         return self.tab
+
+
+@pytest.fixture(scope="session")
+def opened(seen, browser):
+    """Give a page that the tests which ask for it share, one after the other."""
+    one = Reader(browser, reduced_motion="reduce")
+    one.open(seen)
+    yield one
+    one.context.close()
 
 
 @pytest.fixture

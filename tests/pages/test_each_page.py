@@ -1,5 +1,6 @@
-"""What axe-core, https://github.com/dequelabs/axe-core, finds wrong for readers with disabilities.
+"""Each page, opened once: all that belongs to it is there, and nothing bars a reader.
 
+Readers with disabilities are spoken for by axe-core, https://github.com/dequelabs/axe-core.
 ``axe/axe.min.js`` is that of the npm package axe-core 4.10.3; its licence, MPL 2.0, is beside it.
 """
 
@@ -35,8 +36,22 @@ CONTRAST = {"runOnly": ["color-contrast"]}
 REST = {"rules": {"color-contrast": {"enabled": False}}}
 
 
-def test_nothing_serious_bars_a_reader_in_the_light_or_in_the_dark(seen, reader):
-    tab = reader(reduced_motion="reduce").open(seen)
+def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, opened):
+    tab = opened.tab
+    tab.wait_for_load_state("networkidle")
+    assert opened.trouble == []
+    formulas = tab.locator(".math").count()
+    assert tab.locator("main mjx-container").count() >= formulas
+    assert tab.locator("mjx-merror, [data-mjx-error]").count() == 0
+    missing = tab.evaluate(
+        "() => [...document.images].filter(i => i.getClientRects().length"  # of this theme
+        " && !(i.complete && i.naturalWidth)).map(i => i.src)"
+    )
+    assert missing == []
+
+
+def test_nothing_serious_bars_a_reader_in_the_light_or_in_the_dark(seen, opened):
+    tab = opened.tab  # of which not much is left in the end
     tab.evaluate(EMPTY, "mjx-container" + ("" if seen in CODE_TOO else ", .highlight pre"))
     tab.add_script_tag(path=str(AXE))
     found = tab.evaluate(RUN, ["light", REST])
