@@ -32,11 +32,11 @@ class LaggedSolver:
         constant is added to the column, which makes the sum of its residual zero: a finite element
         solution has its exact integral.
     price : int
-        What a factorisation costs, in iterations, at least 1; with none made anew, no solve takes
-        more. It is made anew
-        when the iterations that its age has cost add up to that: the least total cost where they
-        grow linearly from solve to solve, and never more than twice the least. What a solve would
-        take with a new one is judged by the first solve after it was made.
+        What a factorisation costs, in iterations, at least 1; a solve takes more only where one is
+        made anew in it. That is when the iterations that its age has cost add up to the price: the
+        least total cost where they grow linearly from solve to solve, and never more than twice the
+        least. What a solve would take with a new one is judged by the first solve after it was
+        made.
     factorise : callable
         From a matrix to its :class:`~esfem_core.solvers.factors.Factor`.
 
