@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from esfem_core.checks import (
     Array,
     finite_array,
+    frozen,
     function,
     items,
     iterable,
@@ -113,8 +114,8 @@ class ConvergenceTable:
             n: real_array(f"errors[{n!r}] (one for each of sizes)", e, (len(sizes),))
             for n, e in errors.items()
         }
-        object.__setattr__(self, "sizes", _frozen(sizes))
-        object.__setattr__(self, "errors", {n: _frozen(e) for n, e in columns.items()})
+        object.__setattr__(self, "sizes", frozen(sizes))
+        object.__setattr__(self, "errors", {n: frozen(e) for n, e in columns.items()})
 
     @classmethod
     def of(
@@ -236,13 +237,6 @@ class ConvergenceTable:
     def _repr_html_(self) -> str:
         header, rows = self._cells()
         return html_table(header, rows, "esfem-convergence").text
-
-
-def _frozen(values: Array) -> Array:
-    """A copy that nobody can write to."""
-    copy = values.copy()
-    copy.setflags(write=False)
-    return copy
 
 
 def _named(name: str, row: Any) -> dict[str, Any]:

@@ -35,6 +35,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from esfem_core.checks import Array, Bools, Ints, finite_array, integer_array, number, real_array
+from esfem_core.surfaces.orientation import normals_of
 
 __all__ = ["Edges", "collapse", "edges_of", "flip", "split"]
 
@@ -160,9 +161,9 @@ def _may_be_flipped(x: Array, faces: Ints, e: Edges, patches: Ints) -> Bools:
     i, j, p, q = patches.T
     valence = np.bincount(faces.ravel())
     allowed: Bools = (valence[i] > 3) & (valence[j] > 3) & ~_joined(e, p, q)
-    old = _normals(x, i, j, p) + _normals(x, j, i, q)
-    for a, b, c in ((p, i, q), (q, j, p)):
-        allowed &= _dot(_normals(x, a, b, c), old) > 0
+    old = normals_of(x, patches[:, [0, 1, 2]]) + normals_of(x, patches[:, [1, 0, 3]])
+    for new in ([2, 0, 3], [3, 1, 2]):
+        allowed &= _dot(normals_of(x, patches[:, new]), old) > 0
     return allowed
 
 
@@ -302,9 +303,9 @@ def _merged(x: Array, faces: Ints, i: Ints, j: Ints) -> tuple[Array, Ints]:
 
 def _spoiled(x: Array, faces: Ints, y: Array, renamed: Ints, longest: Array) -> Bools:
     """Which triangles turn by more than 60 degrees or get a side longer than `longest`."""
-    a, b, c = renamed.T
-    old, new = _normals(x, *faces.T), _normals(y, a, b, c)
+    old, new = normals_of(x, faces), normals_of(y, renamed)
     bad = _dot(old, new) < MAX_TURN * np.sqrt(_dot(old, old) * _dot(new, new))
+    a, b, c = renamed.T
     for p, q in ((a, b), (b, c), (c, a)):
         bad |= _dot(y[p] - y[q], y[p] - y[q]) > ((longest[p] + longest[q]) / 2) ** 2
     return bad
@@ -330,11 +331,6 @@ def _mesh(x: Array, faces: Ints) -> tuple[Array, Ints]:
     return x, faces
 
 
-def _normals(x: Array, a: Ints, b: Ints, c: Ints) -> Array:
-    """Normals of triangles, twice their area long."""
-    return np.cross(x[b] - x[a], x[c] - x[a])
-
-
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
@@ -347,7 +343,7 @@ def _cotangents(x: Array, faces: Ints) -> Array:
     corners = x[faces]
     sides = corners[:, [1, 2, 0]] - corners
     squares = np.einsum("tij,tij->ti", sides, sides)
-    normals = _normals(x, *faces.T)
+    normals = normals_of(x, faces)
     double_area = np.sqrt(_dot(normals, normals))
     with np.errstate(divide="ignore"):  # a triangle without area asks for a flip above all
         cotangents = (squares.sum(axis=1, keepdims=True) / 2 - squares) / double_area[:, None]

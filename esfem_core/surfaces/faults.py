@@ -12,6 +12,7 @@ from esfem_core.surfaces.folds import folded
 from esfem_core.surfaces.orientation import (
     Sides,
     coincident,
+    normals_of,
     open_components,
     shells,
     sides_of,
@@ -164,7 +165,7 @@ def fans(faces: Ints, pairs: Ints) -> Ints:
 def _areas(vertices: Array, faces: Ints) -> tuple[Array, Array]:
     p, q, r = vertices[faces.T]
     squares = ((q - p) ** 2 + (r - q) ** 2 + (p - r) ** 2).sum(axis=1)
-    return np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2, squares
+    return np.linalg.norm(normals_of(vertices, faces), axis=1) / 2, squares
 
 
 def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:

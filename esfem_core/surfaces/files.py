@@ -34,6 +34,7 @@ from esfem_core.surfaces.repair import (
     check_coordinates,
     counted,
     merged,
+    merging,
     remedy,
     without_unused,
 )
@@ -256,8 +257,7 @@ def _with_shared_nodes(nodes: Array, cells: Ints, notes: list[str]) -> tuple[Arr
         place = merged(nodes, near * diagonal)[cells]
         count = len(np.unique(place))
         if count < len(nodes):
-            where = f"within {near * diagonal:.1g}" if near else "at the same places"
-            notes.append(f"merged {len(nodes)} nodes into {count} {where}")
+            notes.append(merging(len(nodes), "nodes", count, near * diagonal))
             nodes, cells = without_unused(nodes, place, [])
     return nodes, cells
 
@@ -319,9 +319,7 @@ def _of_file(path: Path) -> Elements:
     except (Exception, SystemExit) as error:  # meshio leaves Python where it cannot read
         reason = " ".join(said.getvalue().split()) or f"{type(error).__name__}: {error}"
         raise ValueError(
-            f"{path.name} cannot be read as .{kind} ({reason}); if PyVista can read it, "
-            f"pyvista.read({str(path)!r}) is taken instead of the path, or else write it as PLY, "
-            "STL or OBJ, of triangles only, with the program that made it"
+            f"{path.name} cannot be read as .{kind} ({reason}); {_other_ways(path)}"
         ) from error
     if found.unit is None and kind in ("glb", "gltf"):
         found = found._replace(unit="meters")  # by the standard
@@ -332,10 +330,13 @@ def _unknown(path: Path, kind: str) -> str:
     if kind in ("gz", "bz2", "xz"):
         return f"{path.name} is packed: unpack it first"
     what = f"files .{kind} are not read" if kind else "files are known by their suffix"
+    return f"{path.name} cannot be read: {what}; {_other_ways(path)}"
+
+
+def _other_ways(path: Path) -> str:
     return (
-        f"{path.name} cannot be read: {what}; if PyVista can read it, pyvista.read({str(path)!r}) "
-        "is taken instead of the path, or else write it as PLY, STL or OBJ, of triangles only, "
-        "with the program that made it"
+        f"if PyVista can read it, pyvista.read({str(path)!r}) is taken instead of the path, or "
+        "else write it as PLY, STL or OBJ, of triangles only, with the program that made it"
     )
 
 
@@ -472,7 +473,7 @@ def _joined(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints
     place = merged(vertices, 0)[faces]
     if (sides_of(place).times == 1).sum() >= is_open:
         return vertices, faces
-    steps.append(f"merged {len(vertices)} vertices into {len(np.unique(place))} at the same places")
+    steps.append(merging(len(vertices), "vertices", len(np.unique(place)), 0))
     return without_unused(vertices, place, [])
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 from esfem_core.surfaces.lids import lid_of, rims
-from esfem_core.surfaces.orientation import Sides, sides_of
+from esfem_core.surfaces.orientation import Sides, normals_of, sides_of
 
 __all__ = ["folded", "unfolded"]
 
@@ -47,7 +47,7 @@ def folded(vertices: Array, faces: Ints, sides: Sides) -> Ints:
     [[0, 3]]
     """
     pairs = sides.pairs()
-    normal = _normals(vertices, faces)
+    normal = normals_of(vertices, faces)
     length = np.linalg.norm(normal, axis=1)
     corners = vertices[faces]
     longest = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2).max(axis=1)
@@ -72,7 +72,7 @@ def unfolded(vertices: Array, faces: Ints) -> tuple[Ints, int]:
     >>> letter = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [1, 2, 0], [0, 2, 0]])
     >>> fan = np.array([[1, 2, 3], [1, 3, 4], [1, 4, 5], [1, 5, 0]])
     >>> cut, count = unfolded(letter, fan)
-    >>> count, float(np.linalg.norm(_normals(letter, cut), axis=1).sum() / 2)
+    >>> count, float(np.linalg.norm(normals_of(letter, cut), axis=1).sum() / 2)
     (1, 3.0)
     """
     faces, count = faces.copy(), 0
@@ -81,7 +81,7 @@ def unfolded(vertices: Array, faces: Ints) -> tuple[Ints, int]:
         pairs = folded(vertices, faces, sides)
         if len(pairs) == 0:
             break
-        normal = _normals(vertices, faces)
+        normal = normals_of(vertices, faces)
         order = np.argsort(faces, axis=None, kind="stable")
         ends = np.cumsum(np.bincount(faces.ravel(), minlength=len(vertices)))
         touched: set[int] = set()
@@ -125,11 +125,5 @@ def _in_the_plane(normals: Array, normal: Array) -> Ints:
     return np.flatnonzero(cosine > OPPOSITE * lengths)
 
 
-def _normals(vertices: Array, faces: Ints) -> Array:
-    """Normals of triangles, as long as twice their area, (T, 3)."""
-    a, b, c = vertices[faces.T]
-    return np.asarray(np.cross(b - a, c - a))
-
-
 def _area(vertices: Array, faces: Ints) -> float:
-    return float(np.linalg.norm(_normals(vertices, faces), axis=1).sum() / 2)
+    return float(np.linalg.norm(normals_of(vertices, faces), axis=1).sum() / 2)

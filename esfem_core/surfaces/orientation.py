@@ -18,6 +18,7 @@ __all__ = [
     "Sides",
     "coincident",
     "components",
+    "normals_of",
     "open_components",
     "shells",
     "sides_of",
@@ -58,6 +59,12 @@ class Sides(NamedTuple):
         """The two sides of each edge that has two, (E, 2)."""
         order = np.argsort(self.edge, kind="stable")
         return np.asarray(order[self.times[order] == 2].reshape(-1, 2), dtype=np.int64)
+
+
+def normals_of(vertices: Array, faces: Ints) -> Array:
+    """Normals of triangles, as long as twice their area, (T, 3)."""
+    a, b, c = vertices[faces.T]
+    return np.asarray(np.cross(b - a, c - a))
 
 
 def sides_of(faces: Ints) -> Sides:

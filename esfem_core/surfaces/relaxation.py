@@ -12,6 +12,7 @@ import trimesh
 from esfem_core.checks import Array, Ints
 from esfem_core.surfaces.edges import collapse, edges_of, flip, split
 from esfem_core.surfaces.level_set import Field
+from esfem_core.surfaces.orientation import normals_of
 from esfem_core.surfaces.quality import Quality, mesh_quality
 
 __all__ = [
@@ -269,9 +270,9 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
 
 def _without_folds(x: Array, y: Array, faces: Ints) -> Array:
     """Vertices moved from x to y, but for those of triangles that would turn by 60 degrees."""
-    before = _plane_normals(x, faces)
+    before = normals_of(x, faces)
     for _ in range(FEW):
-        after = _plane_normals(y, faces)
+        after = normals_of(y, faces)
         square = np.einsum("ij,ij->i", before, before) * np.einsum("ij,ij->i", after, after)
         folded = np.einsum("ij,ij->i", before, after) < MAX_TURN * np.sqrt(square)
         if not folded.any():
@@ -303,15 +304,10 @@ def _unfolded(x: Array, faces: Ints, guide: Guide) -> Array:
 
 def _agreement(x: Array, faces: Ints, guide: Guide) -> Array:
     """Cosines between normals of triangles and the mean of the surface's at their corners, (T,)."""
-    normals, g = _plane_normals(x, faces), guide.gradient(x)
+    normals, g = normals_of(x, faces), guide.gradient(x)
     g = (g / np.linalg.norm(g, axis=1, keepdims=True))[faces].sum(axis=1)
     size = np.linalg.norm(normals, axis=1) * np.linalg.norm(g, axis=1)
     return np.asarray(np.einsum("ti,ti->t", normals, g) / np.maximum(size, 1e-300))
-
-
-def _plane_normals(x: Array, faces: Ints) -> Array:
-    a, b, c = x[faces.T]
-    return np.cross(b - a, c - a)
 
 
 def _flipped(x: Array, faces: Ints) -> Ints:
@@ -325,7 +321,7 @@ def _flipped(x: Array, faces: Ints) -> Ints:
 
 def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
     """Refuse triangles that the surface leaves at a larger angle than allowed."""
-    normals = _plane_normals(x, faces)
+    normals = normals_of(x, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     g = gradient(x)
     g /= np.linalg.norm(g, axis=1, keepdims=True)

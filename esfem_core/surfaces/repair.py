@@ -33,6 +33,7 @@ __all__ = [
     "check_coordinates",
     "counted",
     "merged",
+    "merging",
     "remedy",
     "repair",
     "repaired",
@@ -224,6 +225,12 @@ def merged(points: Array, distance: float) -> Ints:
     return np.asarray(first[label], dtype=np.int64)
 
 
+def merging(before: int, what: str, after: int, distance: float) -> str:
+    """What :func:`merged` has done, for the notes of a repair."""
+    where = f"within {distance:.1g}" if distance else "at the same places"
+    return f"merged {before} {what} into {after} {where}"
+
+
 def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
     """Advice for what a repair leaves: larger lids where they would do."""
     sides = sides_of(repaired(vertices, faces, 0).faces)
@@ -293,8 +300,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
             f = place[f]
             count = len(np.unique(f))
             if count < len(x):
-                what = f"within {near * diagonal:.1g}" if near else "at the same places"
-                said.append(f"merged {len(x)} vertices into {count} {what}")
+                said.append(merging(len(x), "vertices", count, near * diagonal))
         f = _drop_doubles(f, said)
         x, f = without_unused(x, f, [])
         broken = int((sides_of(f).times == 1).sum()) + int(len(f) and flat_triangles(x, f).sum())
