@@ -19,7 +19,6 @@ Each integral is then (products of basis functions at the quadrature points) @ (
 small matrix product for many elements. Arrays here have the elements last.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -30,12 +29,12 @@ from esfem_core.elements.quadrature import TriangleRule
 from esfem_core.surfaces import FLATTEST
 
 __all__ = [
+    "CHUNK",
     "DegenerateElementError",
     "ElementError",
     "ElementTables",
     "Metric",
     "NotFiniteError",
-    "chunks",
 ]
 
 CHUNK = 24576  # points at which the metric is computed at a time: few calls, arrays of 0.2 MB each
@@ -160,10 +159,6 @@ class ElementTables:
             np.multiply(entry, g.inverse, out=factor)
         return self.mass @ g.s, self.stiffness @ factors.reshape(-1, g.s.shape[1])
 
-    def mass_only(self, g: Metric) -> tuple[Array]:
-        """Element mass entries alone, in a tuple of one."""
-        return (self.mass @ g.s,)
-
     def weighted(self, g: Metric, mass: Array | float, tensor: Array | float) -> tuple[Array]:
         """Element entries of int mass w z + grad w . tensor grad z for the pairs a <= b.
 
@@ -254,9 +249,3 @@ def _report_first(bad: Bools, what: str, nodes: Array, first: int) -> None:
         raise DegenerateElementError(
             f"element {first + element} near {center} {what}", first + element
         )
-
-
-def chunks(n_cells: int, n_points: int) -> Iterator[slice]:
-    """Consecutive slices of elements with n_points points each."""
-    length = max(CHUNK // n_points, 1)
-    return (slice(i, min(i + length, n_cells)) for i in range(0, n_cells, length))

@@ -27,7 +27,7 @@ from esfem_core.checks import (
     shown,
     whole_number,
 )
-from esfem_core.elements.integrals import DegenerateElementError, ElementTables, Metric, chunks
+from esfem_core.elements.integrals import CHUNK, DegenerateElementError, ElementTables, Metric
 from esfem_core.elements.lagrange import MOST_DEGREE, tabulate
 from esfem_core.elements.numbering import (
     boundary_nodes,
@@ -39,7 +39,7 @@ from esfem_core.elements.numbering import (
 from esfem_core.elements.probing import probe
 from esfem_core.elements.quadrature import TriangleRule, triangle_rule
 from esfem_core.elements.scatter import NodalSum, SparsePattern, keep_freed_memory
-from esfem_core.solvers import Fronts, dissect, side_by_side
+from esfem_core.solvers import Fronts, dissect, pieces, side_by_side
 from esfem_core.surfaces import (
     boundary_advice,
     check_coordinates,
@@ -315,7 +315,8 @@ class SurfaceSpace:
         self.nodes, self.cells, self.degree, self.rule = nodes, cells, degree, rule
         self.boundary_nodes = boundary_nodes(cells, degree)
         self.tables = ElementTables(tabulate(degree, rule.points), rule)
-        self._chunks = list(chunks(len(self.cells), len(self.tables.gradients) // 2))
+        n_points = len(self.tables.gradients) // 2
+        self._chunks = pieces(len(self.cells), max(CHUNK // n_points, 1))
         self._scatter = SparsePattern(self.cells, self.tables.pairs, len(self.nodes), self._chunks)
         self.pattern = self._scatter.pattern
         self._sum = NodalSum(self.cells, len(self.nodes))
@@ -379,7 +380,7 @@ class SurfaceSpace:
 
     def mass(self, x: Array) -> csr_array:
         """Mass matrix alone, in half the time of both; see :meth:`mass_stiffness`."""
-        [M] = self.assemble(x, lambda _, g: self.tables.mass_only(g), 1)
+        [M] = self.assemble(x, lambda _, g: (self.tables.mass @ g.s,), 1)
         return M
 
     def assemble(self, x: Array, entries: Entries, count: int) -> list[csr_array]:
@@ -488,11 +489,11 @@ class SurfaceSpace:
         >>> print(f"{space.integrate(space.nodes, u) / (4 * np.pi / 3):.6f}")
         0.999955
         """
-        return self.integral_with(self.density(x).T, values)
+        return self.integral_with(self.density(x), values)
 
     def integral_with(self, density: Array, values: ArrayLike) -> Array:
-        """Integrals with the area density, (Q, T), of a surface."""
-        measure = density.T * self.rule.weights
+        """Integrals with the area density, (T, Q), of a surface."""
+        measure = density * self.rule.weights
         at_points = real_array("values", values, ("...",))
         if at_points.ndim == 0:
             return np.asarray(at_points * measure.sum())[()]
@@ -532,7 +533,7 @@ class SurfaceSpace:
         True
         """
         shape = (len(self.cells), len(self.rule.weights), "...")
-        return self.load_with(self.density(x).T, real_array("values", values, shape))
+        return self.load_with(self.density(x), real_array("values", values, shape))
 
     def mass_times(self, x: Array, u: Array) -> Array:
         r"""M(x) u, without the matrix.
@@ -560,7 +561,8 @@ class SurfaceSpace:
         return self.load(x, self.evaluate(u))
 
     def load_with(self, density: Array, values: Array) -> Array:
-        """Load vector with the area density, (Q, T), of a surface."""
+        """Load vector with the area density, (T, Q), of a surface."""
+        density = density.T
         by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)
         entries = np.empty((len(by_point), self.cells.shape[1], len(self.cells)))
 

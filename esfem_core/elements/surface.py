@@ -160,23 +160,21 @@ class Surface:
 
     def __getitem__(self, name: str) -> Array:
         """Values of a function at the quadrature points, (T, Q, ...)."""
-        self._field(name)
-        return self._array(("value", name))
+        return self._function("value", name)
 
     def grad(self, name: str) -> Array:
         """Surface gradient of a function at the quadrature points, (T, Q, ..., 3).
 
         The last index is that of the derivative.
         """
-        self._field(name)
-        return self._array(("gradient", name))
+        return self._function("gradient", name)
 
     def integral(self, values: ArrayLike) -> Array:
         """Integrals over Γ_h[x] of values (T, Q, ...), or of a constant: (...).
 
         See :meth:`SurfaceSpace.integrate`.
         """
-        return self.space.integral_with(self.density.T, values)
+        return self.space.integral_with(self.density, values)
 
     def mean(self, values: ArrayLike) -> Array:
         """Mean values over Γ_h[x], (...)."""
@@ -223,7 +221,7 @@ class Surface:
             trailing = () if along is None else along.shape[2:-1]
             at_points = np.full((*points, *trailing), at_points)
         at_points = real_array("values", at_points, (*points, "..."))
-        b = self.space.load_with(self.density.T, at_points)
+        b = self.space.load_with(self.density, at_points)
         if along is not None:
             b += self._flux_load(real_array("flux", along, (*at_points.shape, 3)))
         return b
@@ -289,12 +287,11 @@ class Surface:
         self.space.by_chunks(self.x, fill)
         return self.space.sum_loads(entries, tuple(trailing))
 
-    def _field(self, name: str) -> Array:
-        try:
-            return self.fields[name]
-        except KeyError:
+    def _function(self, kind: str, name: str) -> Array:
+        if name not in self.fields:
             known = ", ".join(map(repr, self.fields)) or "none"
-            raise KeyError(f"there is no function {name!r} on this surface, only {known}") from None
+            raise KeyError(f"there is no function {name!r} on this surface, only {known}")
+        return self._array((kind, name))
 
     def _array(self, key: Key) -> Array:
         array: Array = self._get(key)

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.checks import Array, finite_array, frozen, function, number
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
@@ -94,15 +94,14 @@ class Dynamic(Law):
         number("alpha", self.alpha, least=0)
         number("beta", self.beta, least=0)
         if not callable(self.v0):
-            v0 = np.array(finite_array("v0", self.v0, ("...",)))
+            v0 = finite_array("v0", self.v0, ("...",))
             if v0.size != 1 and (v0.ndim > 2 or v0.shape[-1:] != (3,)):
                 raise ValueError(
                     f"v0 must be a number, a vector (3,) or nodal values (N, 3), got {v0.shape}"
                 )
-            v0.setflags(write=False)  # whoever gave the array may go on to change it
-            object.__setattr__(self, "v0", v0)
-        if self.g is not None and not callable(self.g):
-            raise TypeError(f"g must be a function of a Surface or None, got {shown(self.g)}")
+            object.__setattr__(self, "v0", frozen(v0))
+        if self.g is not None:
+            function("g", self.g, "of a Surface or None")
 
     @property
     def species(self) -> Mapping[str, Species]:

@@ -5,7 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, Ints, finite_array, integer_array, number, real_array, shown
+from esfem_core.checks import (
+    Array,
+    Ints,
+    finite_array,
+    frozen,
+    integer_array,
+    number,
+    real_array,
+    shown,
+)
 from esfem_core.elements import SurfaceSpace
 
 __all__ = ["Fixed"]
@@ -143,9 +152,7 @@ class Fixed:
 def _where(given: Any) -> Any:
     if np.asarray(given).dtype != bool:
         given = integer_array("the nodes of fixed", given, ("B",))
-    where = np.array(given)
-    where.setflags(write=False)
-    return where
+    return frozen(np.asarray(given))
 
 
 def _values(given: Any) -> Any:
@@ -155,6 +162,4 @@ def _values(given: Any) -> Any:
         return given
     if np.ndim(given) == 0:
         return number("fixed", given)
-    values = np.array(finite_array("the values of fixed", given, ("B", "...")))
-    values.setflags(write=False)
-    return values
+    return frozen(finite_array("the values of fixed", given, ("B", "...")))

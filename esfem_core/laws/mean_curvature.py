@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, shown
+from esfem_core.checks import Array, finite_array, frozen, function, number
 from esfem_core.elements import (
     Surface,
     nodal_average,
@@ -97,16 +97,15 @@ class MeanCurvature(Law):
 
     def __post_init__(self) -> None:
         number("beta", self.beta, above=0)
-        if self.g is not None and not callable(self.g):
-            raise TypeError(f"g must be a function g(at) or g(x, t), or None, got {shown(self.g)}")
+        if self.g is not None:
+            function("g", self.g, "g(at) or g(x, t), or None")
         for name, shape in (("normal", ("N", 3)), ("curvature", ("N",))):
             value = getattr(self, name)
             if value is not None and not callable(value):
-                own = np.array(finite_array(name, value, shape))
+                own = finite_array(name, value, shape)
                 if not own.size:
                     raise ValueError(f"{name} must hold a value for each node, got none")
-                own.setflags(write=False)  # whoever gave the array may go on to change it
-                object.__setattr__(self, name, own)
+                object.__setattr__(self, name, frozen(own))
         object.__setattr__(self, "forcing", Once(self._forcing))
 
     @property

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, real_array, shown
+from esfem_core.checks import Array, function, real_array
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 
@@ -52,8 +52,8 @@ class Prescribed(Law):
             both = "none" if motion is None else "both"
             raise ValueError(f"exactly one of motion and velocity must be given, got {both}")
         for name, value in (("motion", motion), ("velocity", velocity)):
-            if value is not None and not callable(value):
-                raise TypeError(f"{name} must be a function or None, got {shown(value)}")
+            if value is not None:
+                function(name, value, "or None")
         self.motion, self.field = motion, velocity
 
     def __repr__(self) -> str:

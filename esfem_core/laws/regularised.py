@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from esfem_core.checks import Array, number, shown
+from esfem_core.checks import Array, function, number
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.values import force_at
@@ -44,8 +44,8 @@ class Regularised(Law):
     def __post_init__(self) -> None:
         number("alpha", self.alpha, least=0)
         number("beta", self.beta, least=0)
-        if self.g is not None and not callable(self.g):
-            raise TypeError(f"g must be a function of a Surface or None, got {shown(self.g)}")
+        if self.g is not None:
+            function("g", self.g, "of a Surface or None")
 
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, flag, number, shown
+from esfem_core.checks import Array, finite_array, flag, frozen, function, number, shown
 from esfem_core.elements import NotFiniteError, Surface, check_tensors, combination
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
@@ -142,10 +142,8 @@ class Species:
     fixed: Any = None
 
     def __post_init__(self) -> None:
-        if self.source is not None and not callable(self.source):
-            raise TypeError(
-                f"source must be a function of a Surface or None, got {shown(self.source)}"
-            )
+        if self.source is not None:
+            function("source", self.source, "of a Surface or None")
         if self.rate is not None and not callable(self.rate):
             number("rate", self.rate, least=0)
         if not callable(self.diffusivity):
@@ -159,12 +157,10 @@ class Species:
                         f"{values.tolist()}"
                     )
         check_initial("initial", self.initial)
-        for name in ("initial", "diffusivity"):  # whoever gave the array may go on to change it
+        for name in ("initial", "diffusivity"):
             value = getattr(self, name)
             if isinstance(value, np.ndarray | list | tuple):
-                own = np.array(value)
-                own.setflags(write=False)
-                object.__setattr__(self, name, own)
+                object.__setattr__(self, name, frozen(np.asarray(value)))
         flag("conserved", self.conserved)
         if self.fixed is not None:
             object.__setattr__(self, "fixed", Fixed.of(self.fixed))
@@ -224,14 +220,13 @@ class Species:
         """Load vector of source and flux, (N, ...); None if there is no source."""
         if self.source is None:
             return None
+        called = f"the source{' f' if name == 'u' else ''} of {name!r}"
         returned = self.source(at)
         if returned is None:
             raise TypeError(
-                f"the source{' f' if name == 'u' else ''} of {name!r} must return numbers, but "
-                "returned None: is a return missing? Zero is 0.0"
+                f"{called} must return numbers, but returned None: is a return missing? Zero is 0.0"
             )
         trailing = at.fields[name].shape[1:]
-        called = f"the source{' f' if name == 'u' else ''} of {name!r}"
         flux = None
         if isinstance(returned, tuple):
             if len(returned) != 2:

@@ -34,12 +34,11 @@ from esfem_core.output.pictures import (
     cube,
     draw,
     drawable,
-    known_space,
     nodal_values,
 )
 from esfem_core.output.plotting import load_matplotlib
 from esfem_core.output.viewer import LONGEST, Shot, load_viewer, viewer
-from esfem_core.stepping import State, write_whole
+from esfem_core.stepping import State, check_state, known_space, write_whole
 from esfem_core.tables import Html
 
 __all__ = ["animate", "surface_animation"]
@@ -193,7 +192,8 @@ def animate(
     # Each state is looked at when it comes: those after it may take long.
     each = [states] if isinstance(states, State) else iterable("states", states, "States")
     for i, s in enumerate(each):
-        space = known_space(object_of(f"states[{i}]", s, State), f"states[{i}]")
+        space = known_space(s, f"states[{i}]")
+        check_state(space, s, f"states[{i}]")
         called, colours = nodal_values(s, values)
         label = called if label is None else label
         frames.append(Shot(space, s.t, s.x, colours))

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, object_of, shown, string
+from esfem_core.checks import Array, finite_array, number, shown, string
 from esfem_core.elements import SurfaceSpace
 from esfem_core.output.curved import refined
 from esfem_core.output.plotting import load_matplotlib
-from esfem_core.stepping import State, check_state
+from esfem_core.stepping import State, check_state, known_space
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -28,7 +28,6 @@ __all__ = [
     "cube",
     "draw",
     "drawable",
-    "known_space",
     "nodal_values",
     "plot",
 ]
@@ -91,6 +90,7 @@ def plot(
     """
     load_matplotlib()
     space = known_space(state)
+    check_state(space, state)
     name, colours = nodal_values(state, values)
     label = name if label is None else label
     title = f"t = {state.t:.4g}" if title is None else title
@@ -172,15 +172,6 @@ def draw(
         ax.set(**{f"{axis}lim": (middle - reach, middle + reach)})
     ax.set_box_aspect((1, 1, 1))
     return scale
-
-
-def known_space(state: State, name: str = "state") -> SurfaceSpace:
-    """The space of a state; refuses what is none."""
-    if object_of(name, state, State).space is None:
-        raise ValueError(f"{name} must know its space, but has none: State(..., space=space)")
-    assert state.space is not None
-    check_state(state.space, state, name)
-    return state.space
 
 
 def nodal_values(state: State, values: Values) -> tuple[str, Array | None]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from esfem_core.checks import flag, iterable, mapping, object_of, output_path, shown
 from esfem_core.output.curved import nodal_normals
-from esfem_core.stepping import State, check_state, write_whole
+from esfem_core.stepping import State, check_state, known_space, write_whole
 
 __all__ = ["SeriesWriter", "TableWriter", "save_series", "save_table"]
 
@@ -114,12 +114,8 @@ class SeriesWriter:
         self._written, self._number, self._last = written, self._number + 1, state
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
-        object_of("state", state, State)
-        if state.space is None:
-            raise ValueError(
-                "states must know their space, but one has none: State(..., space=space)"
-            )
-        check_state(state.space, state)
+        space = known_space(state)
+        check_state(space, state)
         last = self._last or state
         if _functions(state) != _functions(last):
             raise ValueError(
@@ -132,7 +128,7 @@ class SeriesWriter:
         velocity = np.full_like(state.x, np.nan) if state.v is None else state.v
         more = {"v": velocity}
         if self._normals:
-            more["normals"] = nodal_normals(state.space, state.x)
+            more["normals"] = nodal_normals(space, state.x)
         for name in more:
             if name in state.fields:
                 raise ValueError(f"a function must not be called {name!r}: that is written, too")
@@ -387,8 +383,7 @@ def _pvd(entries: Iterable[tuple[float, str]]) -> bytes:
 
 
 def _vtu(state: State, point_data: Mapping[str, NDArray[Any]]) -> bytes:
-    space = state.space
-    assert space is not None
+    space = known_space(state)
     n_cells, n = space.cells.shape
     data = [
         '<?xml version="1.0"?>',

@@ -26,6 +26,7 @@ __all__ = [
     "BLAS_THREADS",
     "MOST_THREADS",
     "pieces",
+    "processors",
     "side_by_side",
     "thread_count",
     "using_threads",
@@ -72,9 +73,14 @@ def thread_count() -> int:
         return 1
     if _blas_pools() is None and not any(os.environ.get(name) == "1" for name in BLAS_THREADS):
         return 1
+    return min(processors(), MOST_THREADS)
+
+
+def processors() -> int:
+    """How many this process may use."""
     if hasattr(os, "sched_getaffinity"):
-        return min(len(os.sched_getaffinity(0)), MOST_THREADS)
-    return min(os.cpu_count() or 1, MOST_THREADS)
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @contextmanager

@@ -7,9 +7,9 @@ from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.remeshing import remeshed
 from esfem_core.stepping.run import MASSES, evolve
-from esfem_core.stepping.scheme import Mass, Perturbation
+from esfem_core.stepping.scheme import Perturbation
 from esfem_core.stepping.start import exact_state
-from esfem_core.stepping.state import EvolutionError, State, check_state
+from esfem_core.stepping.state import EvolutionError, Mass, State, check_state, known_space
 from esfem_core.stepping.systems import Statistics
 from esfem_core.stepping.times import same_time
 
@@ -26,6 +26,7 @@ __all__ = [
     "check_state",
     "evolve",
     "exact_state",
+    "known_space",
     "load",
     "measure",
     "remeshed",

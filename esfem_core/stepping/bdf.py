@@ -13,7 +13,7 @@ import numpy as np
 
 from esfem_core.checks import Array, real_array, shown, whole_number
 
-__all__ = ["combine", "delta", "delta_exact", "extrapolate", "extrapolated", "gamma"]
+__all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
 
 MOST_STEPS = 100  # the coefficients are beyond 1e28 there, and no step can be made with them
 
@@ -128,21 +128,6 @@ def extrapolate(values: Sequence[Array]) -> Array:
         raise TypeError(f"values must be a sequence of arrays of one shape, got {shown(values)}")
     if len(values) > MOST_STEPS:
         raise ValueError(f"values must be {MOST_STEPS} or fewer, got {len(values)}")
-    arrays = [real_array(f"values[{j}]", w, ("...",)) for j, w in enumerate(values)]
-    for j, w in enumerate(arrays):
-        if w.shape != arrays[0].shape:
-            raise _shapes_differ(arrays, j)
-    return extrapolated(arrays)
-
-
-def extrapolated(values: Sequence[Array]) -> Array:
-    """:func:`extrapolate` for levels of a run, which were checked when they came.
-
-    Examples
-    --------
-    >>> extrapolated([np.array([4.0]), np.array([1.0]), np.array([0.0])])
-    array([9.])
-    """
     return combine(_gamma(len(values)), values)
 
 
@@ -172,13 +157,9 @@ def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
     shape = np.shape(total)
     for j in range(1, len(arrays)):
         if np.shape(arrays[j]) != shape:  # NumPy would repeat the smaller one
-            raise _shapes_differ(arrays, j)
+            raise ValueError(
+                f"values must have one shape, but values[{j}] has {np.shape(arrays[j])} and "
+                f"values[0] has {shape}"
+            )
         total += weights[j] * arrays[j]
     return total
-
-
-def _shapes_differ(arrays: Sequence[Array], j: int) -> ValueError:
-    return ValueError(
-        f"values must have one shape, but values[{j}] has {np.shape(arrays[j])} and values[0] has "
-        f"{np.shape(arrays[0])}"
-    )

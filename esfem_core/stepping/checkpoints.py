@@ -23,7 +23,6 @@ from esfem_core.checks import (
     Array,
     items,
     number,
-    one_of,
     output_path,
     path_of,
     shown,
@@ -34,8 +33,14 @@ from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
-from esfem_core.stepping.scheme import Mass
-from esfem_core.stepping.state import EvolutionError, Method, State, check_state, same_space
+from esfem_core.stepping.state import (
+    EvolutionError,
+    Method,
+    State,
+    check_state,
+    known_space,
+    same_space,
+)
 from esfem_core.stepping.times import later
 
 __all__ = ["close_idle", "load", "respaced", "save", "saving", "space_of"]
@@ -337,16 +342,11 @@ def _lagrange(times: Array, t: float) -> list[float]:
 
 def space_of(states: Sequence[State]) -> SurfaceSpace:
     """The space of states that fit together."""
-    for i, state in enumerate(items("states", states, State)):
-        if state.space is None:
-            raise ValueError(
-                f"states[{i}] must know its space, but has none: State(..., space=space)"
-            )
-    first = states[0]
-    space = first.space
-    assert space is not None
+    given = items("states", states, State)
+    spaces = [known_space(state, f"states[{i}]") for i, state in enumerate(given)]
+    first, space = states[0], spaces[0]
     for i, state in enumerate(states):
-        if state.space is None or not same_space(state.space, space):
+        if not same_space(spaces[i], space):
             raise ValueError(
                 f"states must belong to one space, but states[{i}] has another than states[0]; "
                 "after remeshing, take those since then"
@@ -408,10 +408,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return header, arrays
 
 
-def _method(mass: str, order: int, step: float) -> Method:
-    return one_of("mass", mass, Mass), whole_number("order", order, 1), number("step", step)
-
-
 def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpace, list[State]]:
     """Space and states, checked like those of a user."""
     for name, shape in header["shapes"].items():
@@ -435,7 +431,7 @@ def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpa
         )
         v = arrays[f"{i}/v"] if one["v"] else None
         x = arrays[f"{i}/x"]
-        method = None if one["method"] is None else _method(*one["method"])
+        method = None if one["method"] is None else tuple(one["method"])
         states.append(
             State(one["t"], x, v, space=space, fields=fields, products=products, method=method)
         )

@@ -5,12 +5,10 @@ import warnings
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from esfem_core.checks import Array, Ints
+from esfem_core.checks import Array
 from esfem_core.elements import DegenerateElementError, SurfaceSpace
-from esfem_core.surfaces import FLATTEST
+from esfem_core.surfaces import FLATTEST, components
 
 __all__ = ["EvolutionWarning", "Guard"]
 
@@ -42,7 +40,7 @@ class Guard:
         self, space: SurfaceSpace, x: Array, fields: Mapping[str, Array], growth: float
     ) -> None:
         self._corners = np.ascontiguousarray(space.cells[:, :3].T)
-        self._component = _components(self._corners, len(space.nodes))
+        self._component = components(space.cells[:, :3])
         self._several = bool(self._component.any())
         at_boundary = np.isin(self._corners, space.boundary_nodes).any(axis=0)
         self._closed = ~np.isin(np.arange(self._component.max() + 1), self._component[at_boundary])
@@ -225,16 +223,6 @@ def _level_outside() -> int:
     while frame.f_back and frame.f_globals.get("__name__", "").startswith("esfem_core."):
         level, frame = level + 1, frame.f_back
     return level
-
-
-def _components(corners: Ints, n_nodes: int) -> Ints:
-    """Which component of the surface each element belongs to, (T,)."""
-    links = corners[[0, 1, 1, 2]].reshape(2, 2, -1)
-    graph = coo_array(
-        (np.ones(links[:, 0].size), (links[:, 0].ravel(), links[:, 1].ravel())), (n_nodes, n_nodes)
-    )
-    label = connected_components(graph, directed=False)[1]
-    return np.unique(label[corners[0]], return_inverse=True)[1].astype(np.int64)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -16,14 +16,8 @@ from esfem_core.checks import Array, Ints, number, shown
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
 from esfem_core.stepping.checkpoints import space_of
-from esfem_core.stepping.retriangulation import (
-    Transfer,
-    components,
-    corners_of,
-    faces_of,
-    triangulated,
-)
-from esfem_core.stepping.state import State
+from esfem_core.stepping.retriangulation import Transfer, components, triangulated
+from esfem_core.stepping.state import State, known_space
 from esfem_core.surfaces import edges_of, smooth
 
 __all__ = ["remeshed", "transferred"]
@@ -123,7 +117,7 @@ def remeshed(
     _check_fixed(problem)
     x = given[-1].x
     if h is None:
-        h = float(edges_of(faces_of(space)).lengths(x[corners_of(space)]).mean())
+        h = float(edges_of(space.cells[:, :3]).lengths(x).mean())
     h = number("h", h, above=0)
     normal = given[-1].fields.get("normal")
     if normal is not None and normal.shape != x.shape:
@@ -185,8 +179,7 @@ def _on(
     problem: Problem | None,
 ) -> State:
     """One state on the new space."""
-    old, P = state.space, transfer.interpolation
-    assert old is not None
+    old, P = known_space(state), transfer.interpolation
     x = _placed(old, state.x, P)
     law: Any = None if problem is None else problem.law
     if hasattr(law, "position"):

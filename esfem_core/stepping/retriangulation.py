@@ -24,9 +24,9 @@ from esfem_core.elements import (
     node_indices,
     tabulate,
 )
-from esfem_core.surfaces import Guide, MeshingError, evened, resized
+from esfem_core.surfaces import Guide, MeshingError, evened, resized, without_unused
 
-__all__ = ["Transfer", "components", "corners_of", "faces_of", "triangulated"]
+__all__ = ["Transfer", "components", "triangulated"]
 
 FEWEST = 20  # triangles that a component must have room for, as many as an icosahedron has
 MOST = 10**6  # triangles
@@ -90,7 +90,7 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
     normal = _unit_normals(at, normal)
     turn = _allowed_turn(at, normal)
     lengths = _lengths(at, h, normal)
-    vertices, faces = x[corners_of(space)], faces_of(space)
+    vertices, faces = without_unused(x, space.cells[:, :3], [])
     for _ in range(ATTEMPTS):
         lengths = _graded(at, lengths)
         planes = TangentPlanes(at, SPACING * lengths[space.cells].min(axis=1), normal)
@@ -243,17 +243,6 @@ def _check_room(at: Surface, h: float) -> None:
         raise ValueError(
             f"h must be at least {least!r}, so that there are at most {MOST} triangles, got {h:g}"
         )
-
-
-def corners_of(space: SurfaceSpace) -> Ints:
-    """Numbers of the nodes that are corners of elements."""
-    return np.unique(space.cells[:, :3])
-
-
-def faces_of(space: SurfaceSpace) -> Ints:
-    """Triangles between these, (T, 3)."""
-    faces = np.searchsorted(corners_of(space), space.cells[:, :3])
-    return np.asarray(faces, dtype=np.int64)
 
 
 def components(space: SurfaceSpace) -> Ints:

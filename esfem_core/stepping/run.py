@@ -6,6 +6,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from typing import Literal, get_args
 
@@ -44,9 +45,9 @@ from esfem_core.stepping.agreement import (
 from esfem_core.stepping.bdf import MOST_STEPS
 from esfem_core.stepping.checkpoints import close_idle, saving, space_of
 from esfem_core.stepping.guard import EvolutionWarning, Guard
-from esfem_core.stepping.scheme import Mass, Perturbation, Scheme
+from esfem_core.stepping.scheme import Perturbation, Scheme
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
-from esfem_core.stepping.state import State, check_state
+from esfem_core.stepping.state import Mass, State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
 from esfem_core.stepping.times import TOLERANCE, count_steps, following
 
@@ -292,10 +293,7 @@ def _starting_states(
     if given == "exact":
         yield from exact_starts(scheme.space, scheme.problem, times)
     elif given == "euler":
-        updated = Scheme(
-            scheme.space, scheme.problem, "updated", scheme.systems, scheme.perturbation
-        )
-        yield from euler_states(updated, times, step, guard)
+        yield from euler_states(replace(scheme, mass="updated"), times, step, guard)
     else:
         yield from given
 

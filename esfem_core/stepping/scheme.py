@@ -19,13 +19,13 @@ from esfem_core.checks import Array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species, finite_nodal, same_species
 from esfem_core.problems import Problem
-from esfem_core.stepping.bdf import combine, delta, extrapolated
+from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
 from esfem_core.stepping.state import EvolutionError, Mass, Method, State
 from esfem_core.stepping.systems import GUESS, Systems, stacked
 
-__all__ = ["Mass", "Perturbation", "Scheme"]
+__all__ = ["Perturbation", "Scheme"]
 
 Perturbation = Callable[[int], Mapping[str, Array] | tuple[Array, Array, Array]]
 Functions = dict[str, Array]
@@ -144,13 +144,13 @@ class Scheme:
     def _step(self, history: History, method: Method, n: int, t: float) -> State:
         """One step, [N] (2.19)-(2.21)."""
         d, step = history.d, method[2]
-        fields = {name: extrapolated(values) for name, values in history.functions.items()}
+        fields = {name: extrapolate(values) for name, values in history.functions.items()}
         law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
         x_past = combine(d[1:], history.x)
         given = None
         if hasattr(law, "position"):
             given = law.position(self.space.nodes, t, (history.t, history.x[0]))
-        x_tilde = extrapolated(history.x) if given is None else given
+        x_tilde = extrapolate(history.x) if given is None else given
         for made in (*fields.values(), *([x_tilde] if given is None else [])):
             made.setflags(write=False)  # nobody else has it, so that it need not be copied
         at = Surface(self.space, x_tilde, fields, t, expected=self._used)
@@ -314,7 +314,7 @@ class _Levels:
 
     def guess(self, name: str) -> Array:
         """What the new values will be, about."""
-        return extrapolated(self.history.longer[name])
+        return extrapolate(self.history.longer[name])
 
 
 def _index(part: Part, b: Array) -> tuple[Any, ...]:

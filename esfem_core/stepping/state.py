@@ -22,7 +22,7 @@ from esfem_core.checks import (
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.surfaces import check_coordinates
 
-__all__ = ["EvolutionError", "Mass", "State", "check_state", "same_space"]
+__all__ = ["EvolutionError", "Mass", "State", "check_state", "known_space", "same_space"]
 
 
 Mass = Literal["updated", "extrapolated", "reassembled"]
@@ -178,9 +178,7 @@ class State:
 
     def surface(self) -> Surface:
         """Return the surface with all functions on it, for integrals and pictures."""
-        if self.space is None:
-            raise ValueError("state must know its space, but has none: State(..., space=space)")
-        return Surface(self.space, self.x, self.fields, self.t)
+        return Surface(known_space(self), self.x, self.fields, self.t)
 
 
 def _checked_method(method: object) -> Method:
@@ -245,6 +243,14 @@ def check_state(space: SurfaceSpace, state: State, name: str = "state") -> None:
         if key not in state.fields or product.shape != state.fields[key].shape:
             raise ValueError(f"{called} belongs to no function")
         finite_array(called, product, ("N", "..."))
+
+
+def known_space(state: State, name: str = "state") -> SurfaceSpace:
+    """The space of a state; refuses what is none, and one that has none."""
+    space = object_of(name, state, State).space
+    if space is None:
+        raise ValueError(f"{name} must know its space, but has none: State(..., space=space)")
+    return space
 
 
 def same_space(one: SurfaceSpace, other: SurfaceSpace) -> bool:

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, real_array, shown
 from esfem_core.solvers import DirectSolver, LaggedSolver, Solver, check_residual, right_hand_side
-from esfem_core.stepping.bdf import extrapolated
+from esfem_core.stepping.bdf import extrapolate
 
 __all__ = ["Statistics", "Systems"]
 
@@ -97,7 +97,7 @@ class Systems:
         b = right_hand_side(self._pattern.shape[0], b)
         last = self._solutions.get(kind, ())
         same = [w for w in last if w.shape == b.shape]
-        w = self.solve(kind, K, b, extrapolated(same) if same else np.zeros_like(b))
+        w = self.solve(kind, K, b, extrapolate(same) if same else np.zeros_like(b))
         self._solutions[kind].appendleft(w)
         return w
 

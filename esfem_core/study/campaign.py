@@ -12,7 +12,7 @@ import re
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -28,7 +28,7 @@ from pathlib import Path
 from pickle import loads
 from typing import Any, Literal, NamedTuple
 
-from esfem_core.checks import function, items, one_of, path_of, shown, whole_number
+from esfem_core.checks import function, items, iterable, one_of, path_of, shown, whole_number
 from esfem_core.study.dependencies import is_of_package
 from esfem_core.study.environment import environment
 from esfem_core.study.locks import StudyWarning
@@ -51,7 +51,6 @@ __all__ = [
     "case",
     "checked",
     "is_current",
-    "listed",
     "outcomes",
 ]
 
@@ -145,19 +144,6 @@ def is_current(experiment: Experiment, row: Row) -> bool:
     return row.code == code_of(experiment.compute)
 
 
-def listed(name: str, cases: Any) -> list[Any]:
-    """The cases of a study or of a chain.
-
-    Raises
-    ------
-    TypeError
-        If they are no list.
-    """
-    if isinstance(cases, Mapping | str) or not isinstance(cases, Iterable):
-        raise TypeError(f"{name} must be a list of dicts of parameters, got {shown(cases)}")
-    return list(cases)
-
-
 def outcomes(
     experiments: Sequence[Experiment],
     folder: str | Path,
@@ -224,7 +210,10 @@ def checked(experiment: Experiment) -> Experiment:
         )
     if experiment.enough is not None:
         function("enough", experiment.enough, "of two results, or None")
-    chains = [listed("a chain of cases", chain) for chain in experiment.chains]
+    chains = [
+        list(iterable("a chain of cases", chain, "dicts of parameters"))
+        for chain in experiment.chains
+    ]
     for parameters in (case for chain in chains for case in chain):
         if not isinstance(parameters, Mapping):
             raise TypeError(f"a case must be a dict of parameters, got {shown(parameters)}")

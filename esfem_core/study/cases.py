@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import flag, shown
+from esfem_core.checks import flag, iterable, shown
 from esfem_core.study.campaign import (
     Experiment,
     Failure,
     Outcome,
     Stale,
     checked,
-    listed,
     outcomes,
 )
 from esfem_core.study.locks import StudyWarning
@@ -211,7 +210,8 @@ def run(
     if not callable(progress):
         flag("progress (or a function of a line)", progress)
     name = getattr(compute, "__name__", None) if name is None else name
-    chains = [[c] if isinstance(c, Mapping) else c for c in listed("cases", cases)]
+    each = iterable("cases", cases, "dicts of parameters")
+    chains = [[c] if isinstance(c, Mapping) else c for c in each]
     study = checked(Experiment(name or "", "", compute, chains, enough))
     coming = outcomes([study], folder, executor, workers=workers, threads=threads, stale=stale)
     rows: dict[str, Row] = {}

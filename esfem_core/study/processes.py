@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from esfem_core.checks import whole_number
-from esfem_core.solvers import BLAS_THREADS
+from esfem_core.solvers import BLAS_THREADS, processors
 
 try:
     import cloudpickle
@@ -110,7 +110,7 @@ class Processes(Executor):
     """
 
     def __init__(self, workers: int | None = None, threads: int | None = 1) -> None:
-        self.workers = whole_number("workers", _cores() if workers is None else workers, 1)
+        self.workers = whole_number("workers", processors() if workers is None else workers, 1)
         self._threads = None if threads is None else whole_number("threads", threads, 1)
         if getattr(multiprocessing.process.current_process(), "_inheriting", False):
             raise RuntimeError(GUARD)
@@ -192,13 +192,6 @@ class Processes(Executor):
             self._living.discard(worker.process)
             raise
         return worker
-
-
-def _cores() -> int:
-    """Those that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Worker:

@@ -103,7 +103,8 @@ def plain(name: str, value: Any) -> Any:
     if np.ma.isMaskedArray(value):
         raise TypeError(f"{name} must hold numbers, but is masked: its holes have none")
     if isinstance(value, np.generic):
-        value = value.item() if value.dtype.kind in "biuU" else _real(value)
+        if value.dtype.kind in "biufU":
+            value = float(value) if value.dtype.kind == "f" else value.item()
     elif isinstance(value, np.ndarray):
         value = value.astype(float).tolist() if value.dtype.kind == "f" else value.tolist()
     if value is None or isinstance(value, bool):
@@ -125,10 +126,6 @@ def plain(name: str, value: Any) -> Any:
         f"{name} must be a number, a string, a boolean, None, an array, or a list or a dict of "
         f"those with strings as keys, got {shown(value)}"
     )
-
-
-def _real(value: np.generic) -> Any:
-    return float(value) if isinstance(value, np.floating) else value
 
 
 def case_key(parameters: Parameters) -> str:

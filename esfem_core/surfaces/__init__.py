@@ -12,10 +12,10 @@ from esfem_core.surfaces.faults import FLATTEST, Fault, fault
 from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
-from esfem_core.surfaces.orientation import sides_of, turned_to_agree, turned_to_outside
+from esfem_core.surfaces.orientation import components, sides_of, turned_to_agree, turned_to_outside
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
-from esfem_core.surfaces.repair import check_coordinates, repair
+from esfem_core.surfaces.repair import check_coordinates, repair, without_unused
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
 
@@ -37,6 +37,7 @@ __all__ = [
     "check_coordinates",
     "check_triangulation",
     "collapse",
+    "components",
     "curved_elements",
     "derivative",
     "descend",
@@ -60,4 +61,5 @@ __all__ = [
     "torus",
     "turned_to_agree",
     "turned_to_outside",
+    "without_unused",
 ]

@@ -174,25 +174,29 @@ def read_mesh(
     if unit is not None:  # trimesh makes text of None
         made.units = unit
     if report is not None:
-        finite = vertices[np.isfinite(vertices).all(axis=1)]
-        size = (
-            " x ".join(f"{scale * n:.3g}" for n in np.ptp(finite, axis=0)) if len(finite) else "?"
-        )
-        parts = counted(int(components(faces).max(initial=-1)) + 1, "component")
-        report(
-            f"{found.name}: {counted(len(vertices), 'vertex', 'vertices')}, "
-            f"{counted(len(faces), 'triangle')}, {parts}, {size}{f' {unit}' if unit else ''}"
-        )
+        report(f"{found.name}: {_described(vertices, faces, scale)}{f' {unit}' if unit else ''}")
         for step in steps:
             report(step)
-        wrong = fault(vertices, faces)
-        report(
-            "fit for ec.SurfaceSpace"
-            if wrong is None
-            else f"not fit as it is: {wrong.text}; {remedy(vertices, faces, wrong)}"
-            f"{boundary_advice(vertices, faces)}"
-        )
+        report(_fitness(vertices, faces))
     return made
+
+
+def _described(vertices: Array, faces: Ints, scale: float) -> str:
+    """Numbers of vertices, triangles and components, and the size in three directions."""
+    finite = vertices[np.isfinite(vertices).all(axis=1)]
+    size = " x ".join(f"{scale * n:.3g}" for n in np.ptp(finite, axis=0)) if len(finite) else "?"
+    parts = counted(int(components(faces).max(initial=-1)) + 1, "component")
+    corners = counted(len(vertices), "vertex", "vertices")
+    return f"{corners}, {counted(len(faces), 'triangle')}, {parts}, {size}"
+
+
+def _fitness(vertices: Array, faces: Ints) -> str:
+    """Whether a mesh is fit for a space as it is, or else what helps."""
+    wrong = fault(vertices, faces)
+    if wrong is None:
+        return "fit for ec.SurfaceSpace"
+    helps = f"{remedy(vertices, faces, wrong)}{boundary_advice(vertices, faces)}"
+    return f"not fit as it is: {wrong.text}; {helps}"
 
 
 def curved_elements(source: Any) -> Elements:

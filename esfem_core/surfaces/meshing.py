@@ -12,8 +12,6 @@ from functools import partial
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Ints, finite_array, number, package
 from esfem_core.surfaces.check import check_triangulation
@@ -24,6 +22,7 @@ from esfem_core.surfaces.level_set import (
     descend,
     with_its_gradient,
 )
+from esfem_core.surfaces.orientation import components
 from esfem_core.surfaces.quality import Quality
 from esfem_core.surfaces.relaxation import (
     MAX_ROUNDS,
@@ -279,9 +278,7 @@ def _march(values: Array, low: Array, spacing: Array) -> tuple[Array, Ints]:
 
 def _topology(faces: Ints) -> tuple[int, int]:
     """Euler number and number of components of a closed triangulation."""
-    n = int(faces.max()) + 1
-    links = coo_array((np.ones(2 * len(faces)), faces[:, [0, 1, 1, 2]].reshape(-1, 2).T), (n, n))
-    return n - len(faces) // 2, int(connected_components(links, directed=False)[0])
+    return int(faces.max()) + 1 - len(faces) // 2, int(components(faces).max()) + 1
 
 
 def _in_words(topology: tuple[int, int]) -> str:

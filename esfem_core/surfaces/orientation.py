@@ -25,6 +25,7 @@ __all__ = [
     "turned_to_agree",
     "turned_to_outside",
     "winding_numbers",
+    "with_turned",
 ]
 
 PROBES = 3  # points of a component by which it is found inside another
@@ -244,10 +245,14 @@ def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
     turned, _ = turned_to_agree(faces)
     closed = ~open_components(faces, sides_of(faces))
     if closed.any():
-        alike = np.where(turned[:, None], faces[:, ::-1], faces)
-        found = shells(vertices, alike[closed])
+        found = shells(vertices, with_turned(faces, turned)[closed])
         turned[closed] ^= found.wrong()[found.label]
     return turned
+
+
+def with_turned(faces: Ints, turned: Bools) -> Ints:
+    """Triangles of which some are turned, (T, 3)."""
+    return np.asarray(np.where(turned[:, None], faces[:, ::-1], faces))
 
 
 def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:

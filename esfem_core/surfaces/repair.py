@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Bools, Ints, function, whole_number
+from esfem_core.checks import Array, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
     Fault,
@@ -25,7 +25,7 @@ from esfem_core.surfaces.faults import (
 )
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
-from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree
+from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree, with_turned
 
 __all__ = [
     "NEAR",
@@ -303,7 +303,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
                 said.append(merging(len(x), "vertices", count, near * diagonal))
         f = _drop_doubles(f, said)
         x, f = without_unused(x, f, [])
-        broken = int((sides_of(f).times == 1).sum()) + int(len(f) and flat_triangles(x, f).sum())
+        broken = int((sides_of(f).times == 1).sum() + flat_triangles(x, f).sum())
         if best is None or broken < best[0]:
             best = broken, x, f, said
         if broken == 0:
@@ -376,7 +376,7 @@ def _agree(faces: Ints, steps: list[str]) -> Ints:
     turned, _ = turned_to_agree(faces)
     if turned.any():
         steps.append(f"turned {counted(turned.sum(), 'triangle')} to agree with neighbours")
-    return _with_turned(faces, turned)
+    return with_turned(faces, turned)
 
 
 def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
@@ -475,8 +475,4 @@ def _turn(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
         steps.append(f"turned {counted(outwards, 'component')} outwards")
     if inwards:
         steps.append(f"turned {counted(inwards, 'cavity', 'cavities')} inwards")
-    return _with_turned(faces, wrong[found.label])
-
-
-def _with_turned(faces: Ints, turned: Bools) -> Ints:
-    return np.asarray(np.where(turned[:, None], faces[:, ::-1], faces))
+    return with_turned(faces, wrong[found.label])

@@ -151,7 +151,7 @@ def test_a_series_refuses_what_it_cannot_write(tmp_path):
         ("none/run.pvd", [first], FileNotFoundError, "does not exist; make it first"),
         ("run.pvd", [], ValueError, "at least one state, got none"),
         ("run.pvd", [3], TypeError, r"states\[0\] must be a State, got 3"),
-        ("run.pvd", [ec.State(0.0, first.x)], ValueError, "must know their space"),
+        ("run.pvd", [ec.State(0.0, first.x)], ValueError, "must know its space"),
         ("run.pvd", [first, plain], ValueError, r"same functions, .* has none, the one before 'u'"),
         ("run.pvd", [second, first], ValueError, "order of time, got 0.0 after"),
         ("run.pvd", states(1, ["v"]), ValueError, "must not be called 'v'"),

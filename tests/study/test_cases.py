@@ -260,9 +260,17 @@ def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
-        ({"cases": {"order": 1}}, TypeError, "cases must be a list of dicts of parameters, got {'"),
-        ({"cases": 3}, TypeError, "cases must be a list of dicts of parameters, got 3"),
-        ({"cases": ["a"]}, TypeError, "a chain of cases must be a list of dicts of parameters, go"),
+        (
+            {"cases": {"order": 1}},
+            TypeError,
+            "cases must be a sequence of dicts of parameters, got {'",
+        ),
+        ({"cases": 3}, TypeError, "cases must be a sequence of dicts of parameters, got 3"),
+        (
+            {"cases": ["a"]},
+            TypeError,
+            "a chain of cases must be a sequence of dicts of parameters, g",
+        ),
         ({"cases": [[1]]}, TypeError, "a case must be a dict of parameters, got 1"),
         ({"cases": [{"f": len}]}, TypeError, r"a case\['f'\] must be a number, .* got <built-in"),
         ({"compute": 3}, TypeError, "compute must be a function, got 3"),
