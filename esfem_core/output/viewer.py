@@ -238,20 +238,32 @@ def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
 
 
 def _description(shots: Sequence[Shot], label: str) -> str:
-    """What happens, in words: size and values at first and in the end."""
-    first, last = shots[0], shots[-1]
-    size = [" × ".join(f"{side:.3g}" for side in np.ptp(s.x, axis=0)) for s in (first, last)]
-    says = f"From t = {first.t:.4g} to {last.t:.4g}: the surface measures {size[0]}"
-    says += f" at first and {size[1]} in the end" if size[1] != size[0] else " all the time"
-    spans = [_span(shot.colours) for shot in (first, last) if shot.colours is not None]
-    if len(spans) == 2:
-        name = label or "its colour"
-        says += f"; {name} lies between {spans[0]}"
-        says += f" at first and between {spans[1]} in the end" if spans[1] != spans[0] else ""
+    """What happens, in words: size and values at first and in the end, or where they go between."""
+    times = [f"{shot.t:.4g}" for shot in shots]
+    sizes = np.array([np.ptp(shot.x, axis=0) for shot in shots])
+    measures = [" × ".join(f"{side:.3g}" for side in size) for size in sizes]
+    says = f"From t = {times[0]} to {times[-1]}: the surface measures "
+    says += _course(measures, sizes, times)
+    coloured = [shot.colours for shot in shots if shot.colours is not None]
+    if len(coloured) == len(shots):
+        ends = np.array([(values.min(), values.max()) for values in coloured])
+        spans = [f"between {_span(*pair)}" for pair in ends.tolist()]
+        says += f"; {label or 'its colour'} lies {_course(spans, ends, times)}"
     return f"{says}."
 
 
-def _span(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
+def _course(texts: Sequence[str], values: Array, times: Sequence[str]) -> str:
+    """How what a text says of each frame, by a row of values, goes on over time."""
+    first, last = texts[0], texts[-1]
+    if first != last:
+        return f"{first} at first and {last} in the end"
+    others = [i for i, text in enumerate(texts) if text != first]
+    if not others:
+        return f"{first} all the time"
+    most = max(others, key=lambda i: np.abs(values[i] - values[0]).max())
+    return f"{first} at first and in the end, and {texts[most]} at t = {times[most]}"
+
+
+def _span(low: float, high: float) -> str:
     least = 1e-3 * max(abs(low), abs(high))  # what is less is nothing beside it
     return " and ".join(f"{v if abs(v) > least else 0:.3g}" for v in (low, high))

@@ -45,10 +45,24 @@ def test_animation_names_its_picture_its_script_and_its_times(run, monkeypatch):
     assert '"times":["0","0.5","1"]' in text
     assert (
         "From t = 0 to 1: the surface measures 2 × 2 × 2 at first and 4 × 4 × 4 in the end; "
-        "u lies between -1 and 1."
+        "u lies between -1 and 1 all the time."
     ) in text
     assert text == surface_animation(space, states, title="a < b", div_id="here").text
     assert repr(shown) == "a < b: 3 frames, t = 0 to 1"
+
+
+def test_a_description_tells_what_goes_and_comes_back(run, monkeypatch):
+    space, _ = run
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    sizes = [(0.0, 1.0), (0.25, 1.2), (0.5, 1.5), (0.75, 1.2), (1.0, 1.0)]
+    states = [SimpleNamespace(t=t, x=r * space.nodes, u=r * space.nodes[:, 0]) for t, r in sizes]
+    assert (
+        "the surface measures 2 × 2 × 2 at first and in the end, and 3 × 3 × 3 at t = 0.5; "
+        "u lies between -1 and 1 at first and in the end, and between -1.5 and 1.5 at t = 0.5."
+    ) in surface_animation(space, states).text
+    assert "the surface measures 2 × 2 × 2 all the time; u lies between -1 and 1 all the time." in (
+        surface_animation(space, states[::4]).text
+    )
 
 
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
