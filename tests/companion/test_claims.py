@@ -150,7 +150,7 @@ def test_the_verdict_is_confirmed_or_the_kind_of_a_failure(as_printed, corrected
         ([BAD], [BAD], "not reproduced", "fails in its corrected form"),
     ],
 )
-def test_measurements_that_do_not_bear_out_the_verdict_end_a_strict_run_and_are_told_to_a_reader(
+def test_measurements_that_do_not_bear_out_the_verdict_end_a_strict_run_and_are_told_otherwise(
     as_printed, corrected, kind, message, monkeypatch, capsys
 ):
     found = claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
@@ -161,6 +161,29 @@ def test_measurements_that_do_not_bear_out_the_verdict_end_a_strict_run_and_are_
     monkeypatch.setenv(claims.STRICT, "1")
     with pytest.raises(AssertionError, match=f"claim {ID} {message}"):
         claim(ID, *as_printed, corrected=corrected, kind=kind, note="why")
+
+
+@pytest.mark.parametrize(
+    ("as_printed", "corrected", "kind", "message"),
+    [
+        ([BAD], [], None, "fails as printed"),
+        ([GOOD], [GOOD], "misprint", "holds as printed"),
+        ([BAD], [BAD], "misprint", "fails in its corrected form"),
+    ],
+)
+def test_a_reader_is_told_the_verdict_that_other_parameters_do_not_bear_out(
+    as_printed, corrected, kind, message, monkeypatch, capsys
+):
+    verdict = kind or CONFIRMED
+    monkeypatch.setattr(claims, "accepted", lambda: {ID: verdict})
+    claim(ID, *as_printed, corrected=corrected, kind=kind)
+    assert capsys.readouterr().out == (
+        f'differs from the book: claim {ID} is "{verdict}" there, '
+        "which the numbers measured here do not bear out\n"
+    )
+    monkeypatch.setenv(claims.STRICT, "1")
+    with pytest.raises(AssertionError, match=f"^claim {ID} {message}"):
+        claim(ID, *as_printed, corrected=corrected, kind=kind)
 
 
 def test_what_fails_is_told_with_its_numbers(monkeypatch):
