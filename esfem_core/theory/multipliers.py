@@ -31,6 +31,8 @@ __all__ = ["circle_polynomial", "g_matrix", "g_matrix_of", "gammas", "gammas_of"
 
 _LARGEST = 1e100  # coefficient
 _ZERO = 1e-15  # a value of F at 1 or -1 this small, relative to its coefficients, is rounding
+_BELOW_ONE = 1e-12  # closer to eta = 1 rounding decides whether G, singular there, is definite
+_UNTOLD = 1e-13  # a value of F between its zeros this small may be rounding
 _SPLIT = 1e-6  # real zeros of F at most this far apart are a double zero that rounding has split
 
 
@@ -61,13 +63,10 @@ def smallest_eta(p: int) -> float:
     >>> [round(smallest_eta(p), 10) for p in range(1, 6)]
     [0.0, 0.0, 0.083592135, 0.287806557, 0.8159802251]
     """
-    p = whole_number("the order p", p, 1)
-    if p > 5:
-        raise ValueError(
-            f"p must be one of 1, ..., 5: for p >= 6 no linear multiplier 1 - eta z exists, got "
-            f"p = {p}"
-        )
-    return _smallest_eta(p)
+    try:
+        return _smallest_eta(whole_number("the order p", p, 1, 5))
+    except ValueError as error:
+        raise ValueError(f"{error}; for p >= 6 no linear multiplier 1 - eta z exists") from None
 
 
 def g_matrix(p: int, eta: float) -> Array:
@@ -78,7 +77,7 @@ def g_matrix(p: int, eta: float) -> Array:
     p : int
         Order of the backward difference formula, 1 to 5.
     eta : float
-        At least ``smallest_eta(p)`` and less than 1.
+        At least ``smallest_eta(p)`` and at most 1 - 1e-12: G tends to a singular matrix at 1.
 
     Returns
     -------
@@ -166,7 +165,8 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     Raises
     ------
     ValueError
-        If the real part of delta/mu is negative somewhere on the unit circle.
+        If the real part of delta/mu is negative somewhere on the unit circle, or may be: several
+        double zeros of F within 1e-3 or so of each other are lost in rounding.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     F = circle_polynomial(d, m).trim(tiny)
     if np.abs(F.coef).max() <= tiny:
         return np.zeros(len(d))  # as for the trapezoidal rule
-    factor = np.ones(1, dtype=complex)
+    whole, factor = F, np.ones(1, dtype=complex)
     for end in (1.0, -1.0):  # 1 - x = |1 - z|^2/2 and 1 + x = |1 + z|^2/2
         while abs(F(end)) <= _ZERO * np.abs(F.coef).sum():
             F //= Polynomial([-end, 1.0])
@@ -191,7 +191,15 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     on_circle = (roots.imag == 0) & (np.abs(roots) < 1)
     c = np.sort(roots.real[on_circle])
     if len(c) % 2 or np.any(c[1::2] - c[::2] > _SPLIT):
-        raise ValueError(f"{negative}; its sign changes at cos(theta) = {c.round(6).tolist()}")
+        at = f"cos(theta) = {c.round(6).tolist()}"
+        ends = np.concatenate([[-1.0], c, [1.0]])
+        if np.all(whole((ends[1:] + ends[:-1]) / 2) >= -_UNTOLD * np.abs(whole.coef).sum()):
+            raise ValueError(
+                "delta and mu must have Re(delta/mu) >= 0, but whether they have is lost in "
+                f"rounding: the zeros of its numerator found at {at} are changes of sign or "
+                "several double zeros close together"
+            )
+        raise ValueError(f"{negative}; its sign changes at {at}")
     for x in (c[::2] + c[1::2]) / 2:  # (cos(theta) - x)^2 = |1 - 2 x z + z^2|^2/4
         factor = np.convolve(factor, [1.0, -2 * x, 1.0])
     for x in roots[~on_circle]:  # cos(theta) - x = const. |1 - w z|^2, where (w + 1/w)/2 = x
@@ -275,6 +283,11 @@ def _pair(p: int, eta: float) -> tuple[Array, Array]:
         raise ValueError(
             f"eta = {eta!r} is not admissible for p = {p}: Re[delta(z)/(1 - eta z)] becomes "
             f"negative, so that no G exists; eta must be at least {lowest!r}"
+        )
+    if eta > 1 - _BELOW_ONE:
+        raise ValueError(
+            f"eta must be at most 1 - {_BELOW_ONE:g}, got 1 - {1 - eta:.1e}: at 1 G is singular, "
+            "and rounding would decide whether it is positive definite"
         )
     return bdf.delta(p), np.array([1.0, -eta])
 

@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import sympy
+from numpy.polynomial import chebyshev
 
 import esfem_core as ec
 from esfem_core.stepping.bdf import delta_exact
@@ -105,10 +106,10 @@ class TestSmallestEta:
     @pytest.mark.parametrize(
         ("p", "message"),
         [
-            (0, "an integer >= 1"),
-            (2.5, "an integer >= 1"),
+            (0, "an integer from 1 to 5, got 0"),
+            (2.5, r"an integer from 1 to 5, got 2\.5"),
             (6, "no linear multiplier"),
-            (9, "p = 9"),
+            (10**30, "an integer from 1 to 5, got 10000"),
         ],
     )
     def test_orders_without_a_multiplier_are_refused(self, p, message):
@@ -219,6 +220,13 @@ class TestG:
                 with pytest.raises(ValueError, match="eta must be a finite number >= 0 and < 1"):
                     function(p, eta)
 
+    @pytest.mark.parametrize("p", range(1, 6))
+    def test_up_to_the_largest_eta_rounding_does_not_decide(self, p):
+        multipliers.g_matrix(p, 1 - 1e-12)
+        for eta in (1 - 1e-13, 1 - 4e-14, math.nextafter(1, 0)):
+            with pytest.raises(ValueError, match="eta must be at most 1 - 1e-12, got 1 - "):
+                multipliers.g_matrix(p, eta)
+
     def test_printed_value_for_four_steps_is_refused(self):
         with pytest.raises(ValueError, match=r"at least 0\.28780655698"):
             multipliers.g_matrix(4, PRINTED[4])
@@ -267,6 +275,24 @@ class TestOtherPolynomials:
     def test_polynomials_without_a_matrix_are_refused(self, delta, mu, message):
         with pytest.raises(ValueError, match=message):
             multipliers.g_matrix_of(delta, mu)
+
+
+class TestZerosThatRoundingMerges:
+    @pytest.mark.parametrize("factor", [[1], [1, -1], [1, 1], [1, 0, -1]])
+    def test_are_not_called_changes_of_sign(self, factor):
+        """F = (x - 1/4)^4, and that times 1 - x, 1 + x or both, is not negative: G exists."""
+        F = np.convolve(np.polynomial.polynomial.polypow([-0.25, 1], 4), factor)
+        delta = chebyshev.poly2cheb(F)  # Re sum_k c_k z^k = sum_k c_k T_k
+        assert multipliers.circle_polynomial(delta, [1])(np.linspace(-1, 1, 9)).min() > -1e-15
+        for function in (multipliers.gammas_of, multipliers.g_matrix_of):
+            with pytest.raises(ValueError, match="whether they have is lost in rounding") as found:
+                function(delta, [1])
+            assert "negative" not in str(found.value)
+
+    def test_a_change_of_sign_between_positive_midpoints_is_one(self):
+        """F = 1/4 - x^2 is positive between its zeros, and negative outside of them."""
+        with pytest.raises(ValueError, match=r"negative on part of the .* changes at"):
+            multipliers.gammas_of(chebyshev.poly2cheb([0.25, 0, -1]), [1])
 
 
 @pytest.mark.parametrize("tiny", [0.0, 1e-200])
