@@ -5,7 +5,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, number, whole_number
+from esfem_core.checks import Array, finite_array, function, number, object_of, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Regularised
 from esfem_core.problems import Exact, Problem
@@ -14,6 +14,7 @@ from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 from esfem_core.theory.defects import (
     NodalValues,
+    check_species,
     constant_diffusivity,
     diffusion,
     exact_values,
@@ -52,7 +53,7 @@ def temporal_terms_v(
     TypeError, ValueError
         If a number is out of range, there is no exact solution, or the motion is prescribed.
     """
-    order, step = _checked(problem, order, step)
+    order, step = _checked(space, problem, order, step)
     law = cast(Regularised, regularised_law(problem))
     now = exact_values(space, problem, t)
     far = _extrapolated(space, problem, order, step, t)
@@ -93,7 +94,7 @@ def temporal_terms_u(
     TypeError, ValueError
         If n < 2 p, or as for :func:`temporal_terms_v`.
     """
-    order, step = _checked(problem, order, step)
+    order, step = _checked(space, problem, order, step)
     n = whole_number("n", n, 0)
     if n < 2 * order:
         raise ValueError(f"n must be at least 2 p = {2 * order}, got {n}")
@@ -120,10 +121,12 @@ def temporal_terms_u(
     }
 
 
-def _checked(problem: Problem, order: int, step: float) -> tuple[int, float]:
+def _checked(space: SurfaceSpace, problem: Problem, order: int, step: float) -> tuple[int, float]:
+    object_of("space", space, SurfaceSpace)
+    check_species(problem)
     if regularised_law(problem) is None:
         raise ValueError("these terms are those of a velocity law, but the motion is prescribed")
-    return whole_number("order", order, 1), number("step", step, above=0)
+    return whole_number("order", order, 1, bdf.MOST_STEPS), number("step", step, above=0)
 
 
 def _extrapolated(
@@ -182,6 +185,9 @@ def spatial_terms_u(
         If there is no exact solution, u has several components, or `field` returns something of
         the wrong shape or not finite.
     """
+    object_of("field", field, Field)
+    for name, of in (("surface", "a time"), ("v", "points and a time"), ("f", "points and a time")):
+        function(f"field.{name}", getattr(field, name), f"of {of}")
     x, v, u = exact_values(space, problem, t)
     finite_array("the exact u", u, (len(x),))
     onto = lift(space, x, field.surface(t))
@@ -190,12 +196,12 @@ def spatial_terms_u(
     diffusivity = constant_diffusivity(problem)
     exact_u = cast(Exact, problem.exact).functions["u"]
 
-    def slope(function: Callable[[Array], Array]) -> Array:
+    def slope(of: Callable[[Array], Array]) -> Array:
         """Ambient derivatives at y, last index."""
-        return np.stack([along(function, e) for e in np.eye(3)], -1)
+        return np.stack([along(of, e) for e in np.eye(3)], -1)
 
-    def along(function: Callable[[Array], Array], e: Array) -> Array:
-        return derivative(lambda s: function(y + s * e))
+    def along(of: Callable[[Array], Array], e: Array) -> Array:
+        return derivative(lambda s: of(y + s * e))
 
     grad_u = (tangential @ slope(lambda z: exact_u(z, t))[..., None])[..., 0]
     v_exact = finite_array("field.v(x, t)", field.v(y, t), y.shape)

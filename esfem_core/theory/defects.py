@@ -28,7 +28,7 @@ from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
 from esfem_core.stepping import bdf, exact_state
 from esfem_core.surfaces import derivative
-from esfem_core.theory.forms import check_symmetric, divergence
+from esfem_core.theory.forms import check_definite, check_symmetric, divergence
 
 __all__ = [
     "Defects",
@@ -104,7 +104,8 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     Raises
     ------
     TypeError, ValueError
-        If K is neither, the sizes do not match, or the functional is not finite.
+        If K is neither, or no symmetric positive definite matrix, the sizes do not match, or the
+        functional is not finite. A Factor is trusted.
 
     Examples
     --------
@@ -120,6 +121,7 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     if issparse(K):
         K = square_matrix("K", K).tocsr()
         check_symmetric("K", K)
+        check_definite("K", K)
         r = finite_array("functional", functional, (K.shape[0], "..."))
         K = superlu(K)
     elif isinstance(K, type) or not callable(getattr(K, "solve", None)):
@@ -333,6 +335,7 @@ def rate_of_mass(
     ValueError
         If an argument has the wrong shape or is not finite.
     """
+    object_of("space", space, SurfaceSpace)
     rate = finite_array("rate", rate, np.shape(u))
     return space.mass_times(x, rate) + stretching(space, x, v, u)
 
@@ -350,8 +353,14 @@ def diffusion(problem: Problem, A: csr_array, u: Array) -> Array:
     Returns
     -------
     float array of the shape of u
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not as stated, or as by :func:`constant_diffusivity`.
     """
-    return np.asarray((A @ u) * constant_diffusivity(problem))
+    D, A = constant_diffusivity(problem), square_matrix("A", A)
+    return np.asarray((A @ finite_array("u", u, (A.shape[0], "..."))) * D)
 
 
 def constant_diffusivity(problem: Problem) -> float | Array:
@@ -359,10 +368,15 @@ def constant_diffusivity(problem: Problem) -> float | Array:
 
     Raises
     ------
-    TypeError
-        If it is a function, or the equation of "u" is another than that of the papers.
+    TypeError, ValueError
+        If there is no "u", its diffusivity is a function, or its equation is another than that of
+        the papers.
     """
-    u = problem.species["u"]
+    species = object_of("problem", problem, Problem).species
+    if "u" not in species:
+        names = ", ".join(map(repr, species)) or "none"
+        raise ValueError(f'problem must have the species "u" for the theory, got {names}')
+    u = species["u"]
     if callable(u.diffusivity):
         raise TypeError("the theory is for constant diffusivities, got a function")
     if not u.conserved or u.rate is not None or u.fixed is not None:
@@ -379,8 +393,9 @@ def regularised_law(problem: Problem) -> Regularised | None:
     Raises
     ------
     TypeError
-        For any other law.
+        For any other law, and what is no problem.
     """
+    object_of("problem", problem, Problem)
     if isinstance(problem.law, Prescribed):
         return None
     if not isinstance(problem.law, Regularised):

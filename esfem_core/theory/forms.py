@@ -29,6 +29,8 @@ from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
 
 __all__ = [
     "Lift",
+    "check_definite",
+    "check_surface",
     "check_symmetric",
     "deformation",
     "divergence",
@@ -309,8 +311,7 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     1.00000000
     """
     object_of("space", space, SurfaceSpace)
-    if not isinstance(surface, ExactSurface):
-        raise TypeError(f"surface must be an ExactSurface, got {shown(surface)}")
+    check_surface(surface)
     points = space.quadrature_points(x)
     near = _near(surface, points)
     normal_h = space.normals(x)
@@ -424,7 +425,7 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
                 f"are constant on each of {parts} components"
             )
         form, norm = form[1:, 1:], norm[1:, 1:]
-    _check_definite(norm)
+    check_definite("norm", norm)
     if form.shape[0] <= DENSE:
         values = eigh(form.toarray(), norm.toarray(), eigvals_only=True)
         return float(np.abs(values).max())
@@ -445,6 +446,20 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     return float(abs(values[0]))
 
 
+def check_surface(surface: ExactSurface) -> None:
+    """Refuse what is no exact surface.
+
+    Examples
+    --------
+    >>> check_surface("sphere")
+    Traceback (most recent call last):
+        ...
+    TypeError: surface must be an ExactSurface, got 'sphere'
+    """
+    if not isinstance(surface, ExactSurface):
+        raise TypeError(f"surface must be an ExactSurface, got {shown(surface)}")
+
+
 def check_symmetric(name: str, matrix: csr_array, rounding: float | None = None) -> None:
     """Refuse a matrix that is not symmetric, up to a rounding error of its entries.
 
@@ -461,13 +476,21 @@ def check_symmetric(name: str, matrix: csr_array, rounding: float | None = None)
         raise ValueError(f"{name} must be symmetric, but is not")
 
 
-def _check_definite(norm: csr_array) -> None:
-    """Refuse a symmetric matrix with a pivot that is not positive beyond rounding."""
-    diagonal = norm.diagonal()
+def check_definite(name: str, matrix: csr_array) -> None:
+    """Refuse a symmetric matrix with a pivot that is not positive beyond rounding.
+
+    Examples
+    --------
+    >>> check_definite("K", csr_array(np.array([[1.0, -1.0], [-1.0, 1.0]])))
+    Traceback (most recent call last):
+        ...
+    ValueError: K must be positive definite, but has the pivot 0, relative to its diagonal
+    """
+    diagonal = matrix.diagonal()
     least = float(diagonal.min())
     if least > 0:
         root = diags_array(1 / np.sqrt(diagonal))
-        scaled = csc_array(root @ norm @ root)
+        scaled = csc_array(root @ matrix @ root)
         options = {"SymmetricMode": True}
         try:
             lu = splu(scaled, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
@@ -476,8 +499,8 @@ def _check_definite(norm: csr_array) -> None:
             least = 0.0
     if not least > PIVOT:
         raise ValueError(
-            f"norm must be positive definite, but is not: it has the pivot {least:.3g}, relative "
-            "to its diagonal"
+            f"{name} must be positive definite, but has the pivot {least:.3g}, relative to its "
+            "diagonal"
         )
 
 

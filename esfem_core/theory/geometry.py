@@ -22,7 +22,7 @@ from esfem_core.checks import Array, finite_array, function, object_of
 from esfem_core.elements import SurfaceSpace
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
-from esfem_core.theory.forms import Lift, lift, mass, stiffness
+from esfem_core.theory.forms import Lift, check_surface, lift, mass, stiffness
 
 __all__ = [
     "GeometricErrors",
@@ -99,12 +99,15 @@ def tangent_projection(normal: ArrayLike) -> Array:
 
 def apply(matrices: Array, vectors: Array) -> Array:
     """Products of matrices (T, Q, 3, 3) with vectors (T, Q, 3), point by point."""
+    matrices = finite_array("matrices", matrices, ("T", "Q", 3, 3))
+    vectors = finite_array("vectors", vectors, (*matrices.shape[:2], 3))
     products: Array = np.einsum("tqij,tqj->tqi", matrices, vectors)
     return products
 
 
 def largest_norm(tensors: Array) -> float:
     """Largest Frobenius norm of vectors (T, Q, 3) or matrices (T, Q, 3, 3)."""
+    tensors = finite_array("tensors", tensors, ("T", "Q", 3, "..."))
     axes = -1 if tensors.ndim == 3 else (-2, -1)
     return float(np.linalg.norm(tensors, axis=axes).max())
 
@@ -133,8 +136,10 @@ def lifted_norm(space: SurfaceSpace, x: Array, onto: Lift, values: Array) -> flo
     >>> print(f"{lifted_norm(space, space.nodes, onto, onto.points) ** 2 / np.pi:.6f}")
     4.000000
     """
-    squares = values**2
-    total = squares.reshape(*onto.ratio.shape, -1).sum(axis=-1)
+    object_of("space", space, SurfaceSpace)
+    shape = object_of("onto", onto, Lift).ratio.shape
+    squares = finite_array("values", values, (*shape, "...")) ** 2
+    total = squares.reshape(*shape, -1).sum(axis=-1)
     return float(np.sqrt(space.integrate(x, onto.ratio * total)))
 
 
@@ -170,7 +175,8 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
     >>> closest_point_derivative(Sphere(), np.array([0.0, 0.0, 2.0])).diagonal()
     array([0.5, 0.5, 0. ])
     """
-    near = surface.near(points)
+    check_surface(surface)
+    near = surface.near(finite_array("points", points, ("...", 3)))
     return _shrinking(near) @ tangent_projection(near.normal)
 
 
@@ -302,15 +308,15 @@ def geometric_errors(
         return lifted_norm(space, x, onto, values)
 
     return GeometricErrors(
-        distance=np.abs(onto.distance).max(),
+        distance=float(np.abs(onto.distance).max()),
         normal=largest_norm(space.normals(x) - onto.normal),
-        m=np.abs(onto.ratio - 1).max(),
+        m=float(np.abs(onto.ratio - 1).max()),
         a=largest_norm(tensor),
-        q=np.abs(derivative(excess) / space.density(x)).max(),
+        q=float(np.abs(derivative(excess) / space.density(x)).max()),
         velocity=norm(derivative(lifted) - speed),
         u_l2=norm(space.evaluate(nodal) - there),
         u_h1=norm(apply(onto.gradient, space.gradient(x, nodal)) - exact),
         b=norm(apply(lift_operators(space, x, surface(0.0))[0], exact) - exact),
-        m_smooth=abs(nodal @ (mass(space, x, onto.ratio - 1) @ nodal)),
-        a_smooth=abs(nodal @ (stiffness(space, x, tensor) @ nodal)),
+        m_smooth=float(abs(nodal @ (mass(space, x, onto.ratio - 1) @ nodal))),
+        a_smooth=float(abs(nodal @ (stiffness(space, x, tensor) @ nodal))),
     )

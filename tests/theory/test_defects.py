@@ -22,11 +22,14 @@ from esfem_core.theory.defect_terms import (
     temporal_terms_v,
 )
 from esfem_core.theory.defects import (
+    constant_diffusivity,
     defects,
+    diffusion,
     dual_norm,
     exact_values,
     rate_of_mass,
     rate_of_u,
+    regularised_law,
     source_load,
     spatial_defects,
     stretching,
@@ -185,6 +188,41 @@ def test_dual_norm_refuses_what_does_not_fit_or_is_not_finite():
     one_sided[0, 1] += 1.0
     with pytest.raises(ValueError, match="K must be symmetric, but is not"):
         dual_norm(one_sided, np.ones(42))
+
+
+def test_dual_norm_refuses_a_matrix_that_vanishes_on_constants():
+    A = space_of(0).mass_stiffness(space_of(0).nodes)[1]
+    with pytest.raises(ValueError, match="K must be positive definite, but has the pivot"):
+        dual_norm(A, np.ones(42))
+
+
+def test_what_is_no_problem_no_space_and_no_field_is_named():
+    space, x, u = space_of(0), space_of(0).nodes, space_of(0).nodes[:, 0]
+    A, no_problem = space.mass_stiffness(x)[1], "problem must be a Problem, got None"
+    of_another = ec.Problem(species={"w": ec.Species(1.0)}, law=ec.laws.Regularised())
+    for call, message in (
+        (lambda: regularised_law(None), no_problem),
+        (lambda: constant_diffusivity(3), "problem must be a Problem, got 3"),
+        (
+            lambda: constant_diffusivity(of_another),
+            "the species \"u\" .*'w'",
+        ),
+        (lambda: source_load(space, None, "g", x, u, 0.0), no_problem),
+        (lambda: temporal_terms_u(space, None, 1, 0.1, 2), no_problem),
+        (lambda: temporal_terms_v(space, None, 1, 0.1, 0.2), no_problem),
+        (lambda: temporal_terms_u(None, EXPANDING, 1, 0.1, 2), "space must be a SurfaceSpace"),
+        (lambda: rate_of_mass(None, x, x, u, u), "space must be a SurfaceSpace"),
+        (lambda: temporal_terms_v(space, EXPANDING, 200, 0.1, 0.2), "order must be .* 1 to 100"),
+        (lambda: spatial_terms_u(space, EXPANDING, None, 0.5), "field must be a Field, got None"),
+        (
+            lambda: spatial_terms_u(space, EXPANDING, Field(lambda t: 1, 2, 3), 0.5),
+            r"field\.v must be a function of points and a time, got 2",
+        ),
+        (lambda: diffusion(EXPANDING, A, np.ones(2)), r"u must have shape \(42, \.\.\.\), got"),
+        (lambda: diffusion(EXPANDING, A.toarray(), u), "A must be a sparse matrix"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()
 
 
 def test_steps_and_problems_without_defects_are_refused():

@@ -90,6 +90,39 @@ def test_a_normal_that_is_no_vector_is_refused():
         geometry.tangent_projection([1.0, 0.0])
 
 
+def test_tensors_and_surfaces_of_another_kind_are_refused():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 0))
+    onto = forms.lift(space, space.nodes, Sphere())
+    for call, message in (
+        (lambda: geometry.closest_point_derivative(None, space.nodes), "surface must be an Exact"),
+        (lambda: geometry.closest_point_derivative(Sphere(), [1.0]), "points must have shape"),
+        (
+            lambda: geometry.lifted_norm(space, space.nodes, onto, np.ones(3)),
+            r"values must have shape \(20, 3, \.\.\.\), got \(3,\)",
+        ),
+        (
+            lambda: geometry.lifted_norm(space, space.nodes, None, onto.points),
+            "onto must be a Lift",
+        ),
+        (lambda: geometry.apply(onto.gradient, np.ones(3)), r"vectors must have shape \(20, 3, 3"),
+        (lambda: geometry.largest_norm(np.ones(3)), r"tensors must have shape \(T, Q, 3"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()
+
+
+def test_the_errors_are_numbers_of_python():
+    found = geometry.geometric_errors(
+        ec.SurfaceSpace(ec.sphere("icosahedron", 0)),
+        lambda t: Sphere(1 + t),
+        lambda x, t: (1 + t) * x,
+        lambda x: x,
+        linear,
+        linear_gradient,
+    )
+    assert {type(value) for value in found} == {float}
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [
