@@ -109,8 +109,8 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
+    FileNotFoundError, PermissionError
+        If there is no such file, or it may not be read.
     ValueError
         If the file is damaged or another one, or of a later version.
     """
@@ -122,6 +122,8 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
         if header["kind"] != KIND:
             raise ValueError(f"it holds {shown(header['kind'])}")
         version = header["version"]
+    except (PermissionError, MemoryError):  # neither says anything about the file
+        raise
     except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise anything
         raise ValueError(
             f"{str(path)!r} is damaged, or was not written by esfem_core.save: {error}"

@@ -341,6 +341,21 @@ def test_a_file_cut_short_or_of_another_kind_is_refused_by_name(tmp_path):
         ec.load(tmp_path / "other.npz")
 
 
+@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), MemoryError()])
+def test_a_file_that_may_not_be_read_or_has_no_room_in_memory_is_not_called_damaged(
+    tmp_path, monkeypatch, error
+):
+    path, _ = saved(tmp_path)
+
+    def refuse(*_):
+        raise error
+
+    monkeypatch.setattr("zipfile.ZipFile.__init__", refuse)
+    with pytest.raises(type(error)) as caught:
+        ec.load(path)
+    assert caught.value is error
+
+
 def rewritten(path, change):
     """Change header and arrays as an editor could, with right checksums."""
     with np.load(path) as file:
