@@ -333,6 +333,10 @@ def _of_file(path: Path) -> Elements:
 def _unknown(path: Path, kind: str) -> str:
     if kind in ("gz", "bz2", "xz"):
         return f"{path.name} is packed: unpack it first"
+    if kind == "npz":
+        return f"{path.name} is no mesh: ec.load({str(path)!r}) reads what ec.save has written"
+    if kind == "pvd":
+        return f"{path.name} only names the files of a series: read one that ends with .vtu"
     what = f"files .{kind} are not read" if kind else "files are known by their suffix"
     return f"{path.name} cannot be read: {what}; {_other_ways(path)}"
 

@@ -199,6 +199,14 @@ def test_what_cannot_be_read_is_refused_with_what_to_do(folder):
     (folder / "sphere.stl.gz").write_bytes(b"packed")
     with pytest.raises(ValueError, match=r"sphere\.stl\.gz is packed: unpack it first"):
         read(folder / "sphere.stl.gz")
+    for name, advice in [
+        ("run.npz", r"ec\.load\('.*run\.npz'\)"),
+        ("run.pvd", r"ends with \.vtu$"),
+    ]:
+        (folder / name).touch()
+        for reading in (read, ec.SurfaceSpace.read):
+            with pytest.raises(ValueError, match=rf"{name} .*: .*{advice}"):
+                reading(folder / name)
     (folder / "empty.stl").write_bytes(b"")
     with pytest.raises(ValueError, match=r"empty\.stl holds no triangles \(nothing that can be"):
         read(folder / "empty.stl")
