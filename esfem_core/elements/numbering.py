@@ -9,6 +9,7 @@ from esfem_core.elements.lagrange import node_indices
 from esfem_core.surfaces import sides_of
 
 __all__ = [
+    "IN_ORDER",
     "boundary_nodes",
     "check_cells",
     "flat_triangles",
@@ -17,6 +18,10 @@ __all__ = [
     "place_nodes",
 ]
 
+IN_ORDER = (
+    "in the order of VTK, Gmsh and meshio: corners 0, 1, 2, then the edges from 0 to 1, from 1 to "
+    "2, from 2 to 0, then the interior; another order is put right by cells[:, permutation]"
+)
 FARTHEST = 0.5  # an octahedron's nodes move by 0.3 of its sides to the sphere
 
 
@@ -69,9 +74,7 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
     if wrong.any():
         raise ValueError(
             f"element {np.argmax(wrong)} does not have the nodes of its neighbours on their "
-            "common edge; the nodes of an element must be in the order of VTK, Gmsh and meshio: "
-            "corners 0, 1, 2, then the edges from 0 to 1, from 1 to 2, from 2 to 0, then the "
-            "interior; another order is put right by cells[:, permutation]"
+            f"common edge; the nodes of an element must be {IN_ORDER}"
         )
     if len(np.unique(given)) < n_nodes:
         raise ValueError("two nodes of the surface have one number: nodes must not be repeated")

@@ -30,6 +30,7 @@ from esfem_core.checks import (
 from esfem_core.elements.integrals import CHUNK, DegenerateElementError, ElementTables, Metric
 from esfem_core.elements.lagrange import MOST_DEGREE, tabulate
 from esfem_core.elements.numbering import (
+    IN_ORDER,
     boundary_nodes,
     check_cells,
     mirrored,
@@ -247,7 +248,9 @@ class SurfaceSpace:
             )
         check_cells(cells, faces, degree, len(nodes))
         space = cls.__new__(cls)
-        space._set_up(nodes, cells, degree, _rule(degree, exactness))
+        # Edges with two nodes and more may all be given backwards, which no neighbour contradicts.
+        advice = f", or, if they are right, put those of an element {IN_ORDER}" * (degree >= 3)
+        space._set_up(nodes, cells, degree, _rule(degree, exactness), advice)
         return space
 
     @classmethod
@@ -309,7 +312,9 @@ class SurfaceSpace:
                 report(note)
         return space
 
-    def _set_up(self, nodes: Array, cells: Ints, degree: int, rule: TriangleRule) -> None:
+    def _set_up(
+        self, nodes: Array, cells: Ints, degree: int, rule: TriangleRule, advice: str = ""
+    ) -> None:
         """What both constructors do in the end."""
         keep_freed_memory()
         self.nodes, self.cells, self.degree, self.rule = nodes, cells, degree, rule
@@ -324,9 +329,9 @@ class SurfaceSpace:
         self.nodes.setflags(write=False)
         self.cells.setflags(write=False)
         self.boundary_nodes.setflags(write=False)
-        self._check_elements()
+        self._check_elements(advice)
 
-    def _check_elements(self) -> None:
+    def _check_elements(self, advice: str) -> None:
         """Refuse curved elements that fold back: what is accepted has a mass matrix."""
         try:
             normal = self.normals(self.nodes)
@@ -341,7 +346,7 @@ class SurfaceSpace:
             raise ValueError(
                 "nodes must make elements that do not fold back, but the normal of element "
                 f"{t}, near {a[t].round(6).tolist()}, is turned by more than a right angle against "
-                "that of its flat triangle: place the nodes nearer to it"
+                f"that of its flat triangle: place the nodes nearer to it{advice}"
             )
 
     def __repr__(self) -> str:

@@ -138,6 +138,18 @@ def test_another_order_of_nodes_is_found_out():
         ec.SurfaceSpace.from_nodes(made.nodes, made.cells, order="basix")
 
 
+def test_edges_given_backwards_are_found_out():
+    made = curved(3)
+    backwards = made.cells[:, [0, 1, 2, 4, 3, 6, 5, 8, 7, 9]]
+    message = r"do not fold back, .* nearer to it, or, .* in the order of VTK.*from 2 to 0.*permu"
+    with pytest.raises(ValueError, match=message):
+        ec.SurfaceSpace.from_nodes(made.nodes, backwards)
+    swapped = np.zeros_like(made.nodes)
+    swapped[made.cells] = made.nodes[backwards]
+    with pytest.raises(ValueError, match=r"nodes nearer to it$"):  # their order is the class's own
+        ec.SurfaceSpace(SPHERE, 3, lambda x: swapped[-len(x) :])
+
+
 def test_unfit_elements_are_refused():
     made = curved(2)
     for cells, text in [
