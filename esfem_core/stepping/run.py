@@ -344,6 +344,11 @@ def _checked_start(
                 "Exact(..., fields={name: function})"
             )
         return start
+    if isinstance(start, tuple) and start and isinstance(start[0], SurfaceSpace):
+        raise TypeError(
+            "start must be a sequence of states, got a pair of a space and states: "
+            "space, states = esfem_core.load(path), then start=states"
+        )
     if not isinstance(start, Sequence):
         raise TypeError(
             f'start must be "exact", "euler" or a sequence of states, got {shown(start)}'
@@ -368,7 +373,8 @@ def _checked_start(
     tolerance = TOLERANCE * step + order * math.ulp(max(map(abs, times)))
     if not np.allclose(times, wanted, rtol=0, atol=tolerance):
         raise ValueError(
-            f"start must hold states that are a step of {step:g} apart, got times {times}"
+            f"start must hold states that are a step of {step:g} apart, got times {times}; "
+            "esfem_core.respaced(states, step, order) makes such"
         )
     return [_of_problem(space, problem, state) for state in states]
 

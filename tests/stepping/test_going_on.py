@@ -196,7 +196,9 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
             ValueError,
             r"or more, got 1|start\[1\] must be a State, got 1.0",
         ),
+        (lambda s: (SPACE, s), TypeError, r"pair .*: space, states = esfem_core\.load\(path\), t"),
         (lambda s: s[1::-1], ValueError, r"a step of 0\.0333333 apart, got times \[0\.03"),
+        (lambda s: s[::2], ValueError, r"; esfem_core\.respaced\(states, step, order\) makes such"),
         (
             lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],
             ValueError,
