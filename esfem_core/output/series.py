@@ -249,6 +249,8 @@ class TableWriter:
         for name, entry in _cells(called, mapping(called, named, "numbers")):
             if name in cells:
                 raise ValueError(f"{called} must have different columns, got two called {name!r}")
+            _check_for_utf8(called, name, name)
+            _check_for_utf8(called, name, entry)
             cells[name] = entry
         if not cells:
             raise ValueError(f"{called} must have at least one column, got {shown(row)}")
@@ -345,6 +347,18 @@ def _check_for_xml(name: str, text: str) -> None:
     """Refuse a name that no reader of the file would get back."""
     if not text or NOT_IN_XML.search(text):
         raise ValueError(f"{name} must be of characters that XML can hold, got {text!r}")
+
+
+def _check_for_utf8(called: str, column: str, entry: Any) -> None:
+    """Refuse text that no file can hold."""
+    try:
+        if isinstance(entry, str):
+            entry.encode()
+    except UnicodeEncodeError:
+        raise ValueError(
+            f"{called} must hold text of whole characters, but column {column!r} has {entry!r}: "
+            "half a character, which files cannot hold"
+        ) from None
 
 
 def _first_free(stem: str, names: Iterable[str]) -> int:

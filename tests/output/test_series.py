@@ -324,6 +324,8 @@ def test_a_row_of_what_is_no_number_is_refused_by_column(tmp_path, bad):
         ({"a": {"b": 1}, "a_b": 3}, ValueError, "different columns, got two called 'a_b'"),
         ({"a": np.ma.array([1.0, 2.0], mask=[0, 1])}, TypeError, "'a' is masked"),
         ({"a": np.ma.masked}, TypeError, "'a' is masked"),
+        ({"a": 1, "b": "x\ud800"}, ValueError, r"rows\[0\] .* column 'b' has 'x\\ud800': half a"),
+        ({"\udfff": 1}, ValueError, r"rows\[0\] .* column '\\udfff' has '\\udfff': half a char"),
     ],
 )
 def test_no_number_of_a_row_is_lost_or_made_up(tmp_path, row, error, message):
