@@ -162,7 +162,8 @@ def animate(
     Raises
     ------
     TypeError, ValueError
-        If `path` ends otherwise, there is no state, one knows no space or has no such values.
+        If `path` ends otherwise, there is no state, one knows no space, has no such values or
+        another function than those before.
     FileNotFoundError
         If the directory does not exist.
     ImportError
@@ -189,12 +190,21 @@ def animate(
         drawable("label", label or "")
         _writer(file)
     frames: list[Shot] = []
+    drawn = ""
     # Each state is looked at when it comes: those after it may take long.
     each = [states] if isinstance(states, State) else iterable("states", states, "States")
     for i, s in enumerate(each):
         space = known_space(s, f"states[{i}]")
         check_state(space, s, f"states[{i}]")
         called, colours = nodal_values(s, values)
+        function_drawn = "none" if colours is None else repr(called)
+        drawn = drawn or function_drawn
+        if function_drawn != drawn:
+            raise ValueError(
+                f"states must have the same function to draw, but states[{i}] has "
+                f"{function_drawn}, those before {drawn}; values may name one, or be a function "
+                "of a state"
+            )
         label = called if label is None else label
         frames.append(Shot(space, s.t, s.x, colours))
     if label is None:

@@ -197,6 +197,20 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_animate_draws_one_function_or_none():
+    given = state()
+    plain = ec.State(1.0, given.x, space=given.space)
+    other = ec.State(1.0, given.x, space=given.space, fields={"w": given.u})
+    for states, message in [
+        ([given, plain], r"states\[1\] has none, those before 'u'"),
+        ([plain, plain, given], r"states\[2\] has 'u', those before none"),
+        ([given, other], r"states\[1\] has 'w', those before 'u'"),
+    ]:
+        with pytest.raises(ValueError, match=rf"the same function to draw, but {message}"):
+            ec.animate(states)
+    ec.animate([given, other], values=lambda s: s.x[:, 0])
+
+
 def test_animate_refuses_before_a_run_has_gone_on(tmp_path, monkeypatch):
     seen = []
 
