@@ -152,7 +152,7 @@ def animate(
     limits : (float, float), optional
         Values of the first and the last colour.
     duration : int
-        Milliseconds per frame, up to a minute.
+        Milliseconds per frame, up to a minute; in a GIF rounded to tens, and 20 at least.
 
     Returns
     -------
@@ -232,6 +232,20 @@ def _writer(file: Path) -> Any:
     return writer
 
 
+def _shown(duration: int, suffix: str) -> float:
+    """Milliseconds per frame as the writer of a film is to have them.
+
+    In GIF they are whole hundredths of a second, and what is less than two of them, programs show
+    as ten. matplotlib cuts off what the division by frames per second leaves behind the point.
+
+    Examples
+    --------
+    >>> [int(1000 / (1000 / _shown(duration, ".gif"))) for duration in (1, 15, 30, 77)]
+    [20, 20, 30, 80]
+    """
+    return max(10 * round(duration / 10), 20) + 1e-3 if suffix == ".gif" else duration
+
+
 def _film(
     file: Path,
     shots: Sequence[Shot],
@@ -261,6 +275,6 @@ def _film(
     film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
     with TemporaryDirectory() as folder:
         made = Path(folder, f"film{file.suffix.lower()}")
-        film.save(made, writer=_writer(file)(fps=1000 / duration))
+        film.save(made, writer=_writer(file)(fps=1000 / _shown(duration, made.suffix)))
         write_whole(file, made.read_bytes())
     return file

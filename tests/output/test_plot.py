@@ -197,6 +197,12 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_frames_of_a_gif_last_as_long_as_asked_for(tmp_path):
+    frames = [state(refinements=0, t=t) for t in (0.0, 0.5)]
+    with Image.open(ec.animate(frames, tmp_path / "film.gif", duration=30)) as picture:
+        assert picture.info["duration"] == 30
+
+
 def test_animate_draws_one_function_or_none():
     given = state()
     plain = ec.State(1.0, given.x, space=given.space)
