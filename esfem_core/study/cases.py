@@ -38,6 +38,23 @@ class Results:
     rows : list of Row
         In the order of the cases. Those that failed or were left out are not among them.
     failures : list of Failure
+
+    Examples
+    --------
+    A table for other programs has a row for each case:
+
+    >>> import tempfile
+    >>> import esfem_core as ec
+    >>> def sums(n):
+    ...     return {"sum": n * (n + 1) // 2, "parts": [n, 1.0]}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = run(grid(n=(2, 3)), sums, folder, workers=0, progress=False)
+    ...     rows = ({**row.parameters, **row.results} for row in results.rows)
+    ...     ec.save_table(f"{folder}/sums.csv", rows)
+    ...     print(Path(folder, "sums.csv").read_text())
+    n,sum,parts_0,parts_1
+    2,3,2,1.0
+    3,6,3,1.0
     """
 
     rows: list[Row]

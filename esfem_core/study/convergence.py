@@ -100,6 +100,22 @@ class ConvergenceTable:
     ------
     TypeError, ValueError
         If a column does not have one number for each size.
+
+    Examples
+    --------
+    A table for other programs has a row for each size:
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import esfem_core as ec
+    >>> table = ConvergenceTable("h", [0.5, 0.25], {"x": [0.1, 0.02], "u": [0.3, 0.06]})
+    >>> each = zip(table.sizes, *table.errors.values())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     ec.save_table(f"{folder}/h.csv", (dict(zip(["h", *table.errors], row)) for row in each))
+    ...     print(Path(folder, "h.csv").read_text())
+    h,x,u
+    0.5,0.1,0.3
+    0.25,0.02,0.06
     """
 
     parameter: str
