@@ -357,6 +357,7 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     Returns
     -------
     Path
+        Absolute: a run that changes the working folder on its way goes on writing to one place.
 
     Raises
     ------
@@ -390,7 +391,7 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         )
     if not parent.is_dir():
         raise NotADirectoryError(f"{name} must be in a directory, but {str(parent)!r} is a file")
-    return file
+    return file.absolute()
 
 
 def package(need: str, module: str, extra: str) -> Any:

@@ -143,6 +143,31 @@ def test_a_killed_run_leaves_a_series_that_can_be_read_and_gone_on_with(tmp_path
         assert meshio.read(tmp_path / name).points.max() == pytest.approx(1 + t)
 
 
+def test_a_run_that_changes_the_working_folder_writes_to_one_place(tmp_path, monkeypatch):
+    one, two = tmp_path / "one", tmp_path / "two"
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    for folder in (two, one):
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+    series, table = ec.SeriesWriter("run.pvd"), ec.TableWriter("run.csv")
+    run = ec.evolve(space, ec.problems.growing_sphere(), 1, 0.1, 0.3, save="run.npz", every=1)
+    for state in run:
+        series.write(state)
+        table.write({"t": state.t})
+        monkeypatch.chdir(two)
+    monkeypatch.chdir(one)
+
+    def elsewhere():
+        yield state
+        monkeypatch.chdir(two)
+
+    ec.save("last.npz", elsewhere())
+    assert not list(two.iterdir())
+    assert [name for _, name in entries(one / "run.pvd")] == [f"run_{n:05d}.vtu" for n in range(4)]
+    assert (one / "run.csv").read_text() == "t\n0.0\n0.1\n0.2\n0.3\n"
+    assert ec.load(one / "run.npz")[1][-1].t == ec.load(one / "last.npz")[1][-1].t == 0.3
+
+
 def test_a_series_refuses_what_it_cannot_write(tmp_path):
     first, second = states(2)
     plain = ec.State(0.5, first.x, space=first.space)
