@@ -367,6 +367,8 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         If it ends otherwise, is a directory, or is refused by :func:`path_of`.
     FileNotFoundError, NotADirectoryError
         If its directory does not exist, or is a file.
+    PermissionError
+        If its directory cannot be written to.
 
     Examples
     --------
@@ -391,6 +393,11 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         )
     if not parent.is_dir():
         raise NotADirectoryError(f"{name} must be in a directory, but {str(parent)!r} is a file")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise PermissionError(
+            f"{name} must be in a directory that can be written to, but {str(parent)!r} cannot; "
+            "choose another place"
+        )
     return file.absolute()
 
 

@@ -143,6 +143,18 @@ class TestPaths:
         for deeper in (tmp_path / "none", tmp_path / "none" / "none", tmp_path / "file" / "none"):
             self.refused(deeper / "run.npz", FileNotFoundError, "the directory '.*none' does not")
 
+    def test_a_directory_that_cannot_be_written_to_is_refused(self, tmp_path, monkeypatch):
+        asked = []
+
+        def access(path, mode):  # who runs the tests may be root, who may write anywhere
+            asked.append((path, mode))
+            return False
+
+        monkeypatch.setattr(os, "access", access)
+        message = r"save must be in a directory that can be written to, but '.*' cannot; choose an"
+        self.refused(tmp_path / "run.npz", PermissionError, message)
+        assert asked == [(tmp_path, os.W_OK | os.X_OK)]
+
     def test_directories_and_pipes_are_no_files(self, tmp_path):
         (tmp_path / "folder.npz").mkdir()
         os.mkfifo(tmp_path / "pipe.npz")

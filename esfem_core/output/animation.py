@@ -164,8 +164,8 @@ def animate(
     TypeError, ValueError
         If `path` ends otherwise, there is no state, one knows no space, has no such values or
         another function than those before.
-    FileNotFoundError
-        If the directory does not exist.
+    FileNotFoundError, PermissionError
+        If the directory does not exist, or cannot be written to.
     ImportError
         Without matplotlib, without plotly if it is no film, or if ".mp4" is asked for and there is
         no ffmpeg, with which matplotlib makes it.

@@ -53,8 +53,8 @@ class SeriesWriter:
     TypeError, ValueError
         If `path` does not end with ".pvd" or has characters that XML cannot hold, or `go_on` meets
         a file that is damaged, or another one.
-    FileNotFoundError
-        If the directory does not exist.
+    FileNotFoundError, PermissionError
+        If the directory does not exist, or cannot be written to.
 
     Examples
     --------
@@ -174,8 +174,8 @@ def save_series(
     TypeError, ValueError
         If `path` does not end with ".pvd", there are no states, one knows no space, has other
         functions than the one before or an earlier time.
-    FileNotFoundError
-        If the directory does not exist.
+    FileNotFoundError, PermissionError
+        If the directory does not exist, or cannot be written to.
     OSError
         If a file cannot be written; the series is complete up to the state before.
 
@@ -297,8 +297,8 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
     ------
     TypeError, ValueError
         If `path` ends otherwise, there is no row, or rows have different columns.
-    FileNotFoundError
-        If the directory does not exist.
+    FileNotFoundError, PermissionError
+        If the directory does not exist, or cannot be written to.
 
     Examples
     --------

@@ -70,8 +70,8 @@ def save(path: str | os.PathLike[str], states: Iterable[State] | State) -> None:
     ------
     TypeError, ValueError
         If `path` does not end with ".npz", there are no states, or they do not fit together.
-    FileNotFoundError
-        If the directory does not exist.
+    FileNotFoundError, PermissionError
+        If the directory does not exist, or cannot be written to.
     OSError
         If the file cannot be written; an older one is untouched.
 

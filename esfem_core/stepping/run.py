@@ -178,8 +178,8 @@ def evolve(
     TypeError, ValueError
         If an argument is out of range, or the surface has a boundary that is to be moved by another
         law than :class:`esfem_core.laws.Prescribed`; at the call, before anything is computed.
-    FileNotFoundError
-        If the directory of `save` does not exist.
+    FileNotFoundError, PermissionError
+        If the directory of `save` does not exist, or cannot be written to.
     ImportError
         If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
