@@ -32,7 +32,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.files import write_whole
-from esfem_core.stepping.guard import EvolutionWarning
+from esfem_core.stepping.guard import EvolutionWarning, level_outside
 from esfem_core.stepping.state import (
     EvolutionError,
     Method,
@@ -169,11 +169,11 @@ def saving(
             _write(path, space_of(list(last)), list(last))
         except OSError as error:
             held = "no state of this run" if saved is None else f"the states up to t = {saved.t:g}"
+            there = f". It holds {held}" if path.exists() else ""
             warnings.warn(
-                f"the states up to t = {last[-1].t:g} could not be saved ({error}). It holds "
-                f"{held}; {then}",
+                f"the states up to t = {last[-1].t:g} could not be saved ({error}){there}; {then}",
                 EvolutionWarning,
-                stacklevel=3,
+                stacklevel=level_outside(),
             )
         else:
             saved, found = last[-1], _identity(path)

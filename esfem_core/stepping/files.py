@@ -1,11 +1,14 @@
 """Files that are whole at any moment."""
 
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
 __all__ = ["write_whole"]
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, or what one may have of it
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -47,5 +50,6 @@ def write_whole(path: Path, data: bytes) -> None:
             beside.unlink()
         if not isinstance(error, OSError):
             raise
-        reason = f"{error.strerror}; the file is as it was: make room, or choose another place"
+        advice = "make room, or choose" if error.errno in FULL else "choose"
+        reason = f"{error.strerror}; the file is as it was: {advice} another place"
         raise OSError(error.errno, reason, str(path)) from error

@@ -10,7 +10,7 @@ from esfem_core.checks import Array
 from esfem_core.elements import DegenerateElementError, SurfaceSpace
 from esfem_core.surfaces import FLATTEST, components
 
-__all__ = ["EvolutionWarning", "Guard"]
+__all__ = ["EvolutionWarning", "Guard", "level_outside"]
 
 NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
 NARROW_TURN = 0.5  # cosine: a narrow triangle turns by 60 degrees within a step at most
@@ -214,10 +214,10 @@ class Guard:
     def _warn_once(self, kind: str, text: str) -> None:
         if kind not in self._warned:
             self._warned.add(kind)
-            warnings.warn(text, EvolutionWarning, stacklevel=_level_outside())
+            warnings.warn(text, EvolutionWarning, stacklevel=level_outside())
 
 
-def _level_outside() -> int:
+def level_outside() -> int:
     """Of the first caller outside of this package, such as the loop over a run."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back and frame.f_globals.get("__name__", "").startswith("esfem_core."):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import runpy
 import signal
 import subprocess
@@ -296,6 +297,17 @@ def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path):
         states += run
     assert [state.t for state in states] == [0.6, 0.7, 0.8]
     assert ec.load(path)[1][-1].t == 0.7
+
+
+def test_a_run_whose_folder_is_gone_warns_where_it_is_gone_through(tmp_path):
+    (tmp_path / "gone").mkdir()
+    run = ec.evolve(SPACE, coupled(), 1, 0.1, 0.2, save=tmp_path / "gone" / "run.npz", every=1)
+    (tmp_path / "gone").rmdir()
+    with pytest.warns(ec.EvolutionWarning) as warned:
+        list(run)
+    assert {one.filename for one in warned} == {__file__}
+    nothing_held = r"the file is as it was: choose another place: '.*run\.npz'\); the run goes on"
+    assert re.search(nothing_held, str(warned[0].message))
 
 
 def saved(tmp_path):
