@@ -39,6 +39,9 @@ FAST = 1  # level of compression: floats hardly shrink, elements do at any level
 class SeriesWriter:
     """Writes states for ParaView, each when it comes: in a loop what `save_series` is in one call.
 
+    At any moment the PVD file lists states of one run, each in a whole file. A series that is there
+    is shortened with the first state: to nothing, or with `go_on` to what comes before that state.
+
     Parameters
     ----------
     path : path
@@ -98,7 +101,8 @@ class SeriesWriter:
             a series that it goes on with, an earlier time, or a function with a name that XML
             cannot hold.
         OSError
-            If a file cannot be written; the series is what it was.
+            If a file cannot be written; the series is what it was, or at the first state what is
+            kept of it.
         """
         arrays = self._point_data(state)
         if self._last is None:
@@ -107,6 +111,8 @@ class SeriesWriter:
                 _check_arrays(self.path.parent / kept[-1][1], state.t, arrays)
             self._written = kept
             self._number = _first_free(self.path.stem, (name for _, name in kept))
+            if self.path.exists():  # its list must not name files of this run for those of another
+                write_whole(self.path, _pvd(kept))
         name = f"{self.path.stem}_{self._number:05d}.vtu"
         written = [*self._written, (state.t, name)]
         write_whole(self.path.with_name(name), _vtu(state, arrays))

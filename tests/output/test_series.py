@@ -17,6 +17,7 @@ from full_disk import room
 
 import esfem_core as ec
 from esfem_core.output.curved import nodal_normals
+from esfem_core.stepping import write_whole
 
 NAMES = ["u", 'a<"b">&c', "Größe"]
 DEGREES = [1, 2, 3, 4, 5]
@@ -333,6 +334,24 @@ def test_a_full_disk_leaves_a_series_complete_up_to_the_state_before(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["run.pvd", "run_00000.vtu"]
     series.write(second)
     assert (tmp_path / "run.pvd").read_text().count("DataSet") == 2
+
+
+@pytest.mark.parametrize(("go_on", "kept"), [(False, []), (True, [0.0])])
+def test_a_series_never_lists_files_of_another_run(tmp_path, monkeypatch, go_on, kept):
+    one, path = states(1)[0], tmp_path / "run.pvd"
+    run = [ec.State(t, one.x, None, one.u, space=one.space) for t in (0.0, 1.0, 2.0)]
+    ec.save_series(path, run)
+    listed = []
+
+    def write(file, data):
+        write_whole(file, data)
+        listed.append([t for t, _ in entries(path)])
+
+    monkeypatch.setattr("esfem_core.output.series.write_whole", write)
+    new = ec.State(0.5, 2 * one.x, None, one.u, space=one.space)
+    ec.save_series(path, [new], go_on=go_on)
+    assert listed == [kept, kept, [*kept, 0.5]]
+    assert sorted(os.listdir(tmp_path))[1:] == [f"run_{n:05d}.vtu" for n in range(3)]
 
 
 @pytest.mark.parametrize("bad", [1j, np.array([b"a"]), object()])
