@@ -4,6 +4,8 @@ import pytest
 from bs4 import BeautifulSoup
 from conftest import HTML, PAGES, on_chromium
 
+import esfem_core as ec
+
 SCHEMES = ["light", pytest.param("dark", marks=on_chromium)]
 
 
@@ -139,6 +141,28 @@ def test_a_moving_picture_is_printed_as_stills(reader):
     assert tab.locator("img.esfem-poster").is_visible()
     assert tab.locator("img.esfem-poster").evaluate("i => i.naturalWidth") == 900
     assert not tab.locator(".esfem-controls").is_visible()
+
+
+# As some notebooks do: the scripts of an output run at its end.
+MOVED = """() => document.querySelectorAll("div").forEach((output) => {
+  for (const { text } of output.querySelectorAll("script"))
+    output.appendChild(Object.assign(document.createElement("script"), { text })).remove();
+})"""
+
+
+@pytest.mark.parametrize("place", ["page", "notebook"])
+def test_pictures_of_one_name_do_not_meet(reader, tmp_path, monkeypatch, place):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    states = [ec.State(t, space.nodes, space=space) for t in range(5)]
+    shown = "".join(f"<div>{ec.animate(states[:n]).text}</div>" for n in (3, 5))
+    page = tmp_path / "page.html"
+    page.write_text(f"<!doctype html>{shown}" if place == "page" else "<!doctype html>", "utf8")
+    tab = reader(reduced_motion="reduce").open(page)
+    if place == "notebook":  # scripts in markup that is set do not run
+        tab.evaluate("text => { document.body.innerHTML = text; }", shown)
+        tab.evaluate(MOVED)
+    assert [slider.get_attribute("max") for slider in tab.locator("input").all()] == ["2", "4"]
 
 
 @pytest.mark.parametrize("plotted", MOVING)
