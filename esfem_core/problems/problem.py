@@ -301,12 +301,15 @@ def _function(name: str, value: object) -> None:
 def _check_names(species: Mapping[str, Species], law: Law) -> None:
     if not isinstance(species, Mapping):
         raise TypeError(f"species must be a mapping from names to Species, got {shown(species)}")
-    for name, one in species.items():
-        if not isinstance(name, str) or name in RESERVED:
-            raise ValueError(f"a species must have a name other than x and v, got {name!r}")
-        if not isinstance(one, Species):
-            raise TypeError(f"species[{name!r}] must be a Species, got {shown(one)}")
-        if name in getattr(law, "species", {}):
+    carried = mapping("species of the law", getattr(law, "species", {}), "Species")
+    for of, group in (("species", species), ("species of the law", carried)):
+        for name, one in group.items():
+            if not isinstance(name, str) or name in RESERVED:
+                raise ValueError(f"a {of} must have a name other than x and v, got {name!r}")
+            if not isinstance(one, Species):
+                raise TypeError(f"{of}[{name!r}] must be a Species, got {shown(one)}")
+    for name in species:
+        if name in carried:
             raise ValueError(
                 f"the law has a function {name!r} of its own: give the species another name"
             )

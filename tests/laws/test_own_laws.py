@@ -44,6 +44,9 @@ def test_ten_lines_are_the_regularised_law_bit_for_bit(p, mass, solver):
             np.testing.assert_array_equal(mine.v, built_in.v)
 
 
+STILL = np.zeros_like(SPACE.nodes)
+
+
 class Rest:
     species: dict = {}  # noqa: RUF012 - what a reader would write
 
@@ -66,6 +69,27 @@ def test_what_a_law_returns_is_checked():
             list(ec.evolve(SPACE, ec.Problem(law=Rest(v)), 1, 0.1, 0.2))
 
 
+class Carrying(Rest):
+    def __init__(self, species):
+        self.v, self.species = STILL, species
+
+
+@pytest.mark.parametrize(
+    ("species", "error", "message"),
+    [
+        ({"x": ec.Species(1.0)}, ValueError, "a species of the law must have a name other than"),
+        ({"v": ec.Species(1.0)}, ValueError, "other than x and v, got 'v'"),
+        ({"q": 1.0}, TypeError, r"species of the law\['q'\] must be a Species, got 1\.0"),
+        ([ec.Species(1.0)], TypeError, "species of the law must be a mapping from names to Spec"),
+        (lambda self: {}, TypeError, "species of the law must be a mapping .*, got <function"),
+    ],
+    ids=["x", "v", "number", "list", "method"],
+)
+def test_functions_of_a_law_are_species_with_names_of_their_own(species, error, message):
+    with pytest.raises(error, match=message):
+        ec.Problem(law=Carrying(species))
+
+
 def bad(t):
     return np.nan if t > 0.25 else 0.0
 
@@ -76,7 +100,6 @@ class Failing(Rest):
 
 
 REST = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
-STILL = np.zeros_like(SPACE.nodes)
 
 
 @pytest.mark.parametrize(
