@@ -39,7 +39,8 @@ class Law(Protocol):
     def equations(self, tau: float, past: Array) -> Mapping[str, Species]:
         """What the law's functions solve in this step: `species`.
 
-        Others, if they are implicit in the position x^n = tau v^n - past, as for `velocity`.
+        Others, if they are implicit in the position x^n = tau v^n - past, as for `velocity`. Only
+        their source, rate and diffusivity may differ from those of `species`.
         """
         return self.species
 
@@ -113,6 +114,8 @@ def check_law(law: Any) -> None:
 def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, Species]:
     """What ``law.equations`` returns, refused if these are not the law's functions.
 
+    What is kept from step to step depends on `conserved`, and `fixed` is that of the species.
+
     Examples
     --------
     >>> same_species({"H": Species(1.0)}, {})
@@ -128,4 +131,16 @@ def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, S
         raise ValueError(
             f"what law.equations returns must have the species of law, {wanted}, but has {names}"
         )
-    return {name: object_of(f"law.equations: {name!r}", found[name], Species) for name in own}
+    for name, mine in own.items():
+        one = object_of(f"law.equations: {name!r}", found[name], Species)
+        if one.conserved != mine.conserved:
+            raise ValueError(
+                f"law.equations: {name!r} must have conserved={mine.conserved} as in the species "
+                f"of law, got {one.conserved}"
+            )
+        if one.fixed is not None and not one.fixed.may_be(mine.fixed):
+            raise ValueError(
+                f"law.equations: {name!r} must have the fixed of the species of law or none, got "
+                "another"
+            )
+    return found

@@ -90,6 +90,46 @@ def test_functions_of_a_law_are_species_with_names_of_their_own(species, error, 
         ec.Problem(law=Carrying(species))
 
 
+class Changing(Rest):
+    """What its function solves in a step is not what it solves at the start."""
+
+    def __init__(self, kept, **changed):
+        self.v, self.kept, self.changed = STILL, kept, changed
+
+    @property
+    def species(self):
+        return {"q": ec.Species(1.0, **self.kept)}
+
+    def equations(self, tau, past):
+        return {"q": ec.Species(1.0, **(self.kept | self.changed))}
+
+
+WEST = SPACE.nodes[:, 0] < -0.9
+
+
+@pytest.mark.parametrize(
+    ("kept", "changed", "message"),
+    [
+        ({}, {"conserved": False}, "'q' must have conserved=True as in the species of law, got F"),
+        ({"conserved": False}, {"conserved": True}, "'q' must have conserved=False as in the"),
+        ({}, {"fixed": (WEST, 1.0)}, "'q' must have the fixed of the species of law or none"),
+        ({"fixed": (WEST, 1.0)}, {"fixed": (WEST, 2.0)}, "the fixed of the species of law or none"),
+        ({"fixed": (WEST, 1.0)}, {"fixed": (~WEST, 1.0)}, "the fixed of the species of law or "),
+    ],
+)
+def test_a_step_does_not_change_what_is_kept_from_one_to_the_next(kept, changed, message):
+    run = ec.evolve(SPACE, ec.Problem(law=Changing(kept, **changed)), 1, 0.1, 0.2)
+    with pytest.raises(ValueError, match=f"law.equations: .*{message}"):
+        list(run)
+
+
+@pytest.mark.parametrize("changed", [{}, {"rate": 0.0, "diffusivity": 2.0}, {"fixed": None}])
+def test_a_step_may_change_the_rest(changed):
+    kept = {"conserved": False, "fixed": (WEST, lambda x, t: 1.0)}
+    *_, last = ec.evolve(SPACE, ec.Problem(law=Changing(kept, **changed)), 1, 0.1, 0.2)
+    np.testing.assert_allclose(last["q"], 1.0, rtol=1e-12)
+
+
 def bad(t):
     return np.nan if t > 0.25 else 0.0
 
