@@ -135,7 +135,7 @@ class Expressions:
 
         def evaluate(x: Array, t: float) -> Array:
             with np.errstate(all="ignore"):  # what is not finite is refused where it is used
-                values = function(*np.moveaxis(x, -1, 0), t)
+                values = function(*np.moveaxis(x, -1, 0), np.float64(t))  # 1/0 raises in Python
             columns = [np.broadcast_to(value, x.shape[:-1]) for value in values]
             return np.stack(columns, axis=-1).reshape(*x.shape[:-1], *shape)
 

@@ -297,6 +297,12 @@ class TestRefused:
             2 / length - 2 * length / 0.6, abs=1e-12
         )
 
+    def test_a_solution_that_ends_at_a_whole_number(self):
+        """It is tried there, at t = 1, in numbers of Python, which know no infinity."""
+        problem = ec.manufactured(UNIT, STILL, "x1/(1 - t)", until=0.2, prescribed=True)
+        assert problem.exact.u(np.eye(3), 0.5) == pytest.approx([2.0, 0.0, 0.0])
+        assert problem.exact.u(np.eye(3), 1.0)[0] == np.inf
+
     def test_a_motion_without_inverse(self):
         path = Motion(["p1*(1 - t)", "p2", "p3"])
         with pytest.raises(ValueError, match=r"motion has no inverse .* at t = 1"):
