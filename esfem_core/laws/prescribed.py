@@ -12,6 +12,7 @@ from esfem_core.laws.law import Law, Solve
 __all__ = ["Prescribed"]
 
 FLOW: dict[str, Any] = {"method": "DOP853", "rtol": 1e-12}  # of a velocity field
+MOST_CALLS = 50_000  # of a velocity field in one step
 ATOL = 1e-14  # relative to the size of the surface
 
 
@@ -82,21 +83,15 @@ class Prescribed(Law):
         start, x = before
         if t == start:
             return np.array(x)
-        field = self.field
-        assert field is not None
-
-        def rate(time: float, flat: Array) -> Array:
-            here = flat.reshape(nodes.shape)
-            v = real_array("velocity(x, t)", field(here.copy(), time), nodes.shape)
-            # The integrator would try smaller and smaller steps.
-            _check_finite("velocity(x, t)", v, here, time)
-            return v.ravel()
-
+        assert self.field is not None
+        rate = _Rate(self.field, (start, t), nodes.shape)
         size = float(np.abs(x).max())
         from scipy.integrate import solve_ivp  # a tenth of the package's start, for this alone
 
-        flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
+        with np.errstate(over="ignore", invalid="ignore"):  # in trials that the method rejects
+            flow = solve_ivp(rate, (start, t), x.ravel(), atol=ATOL * size, **FLOW)
         if not flow.success:
+            rate.refuse_bad()
             raise FloatingPointError(f"the velocity cannot be integrated: {flow.message}")
         end: Array = flow.y[:, -1].reshape(nodes.shape)
         return end
@@ -107,6 +102,46 @@ class Prescribed(Law):
         """The difference quotient of the given positions, so that x = tau v - past."""
         quotient: Array = (at.x + past) / tau
         return quotient
+
+
+class _Rate:
+    """A velocity field as the integrator calls it, which may find a trial bad and shorten a step.
+
+    Bad values are kept until that fails; none but smooth fields let it come to an end.
+    """
+
+    def __init__(
+        self,
+        field: Callable[[Array, float], Array],
+        times: tuple[float, float],
+        shape: tuple[int, ...],
+    ) -> None:
+        self.field, self.times, self.shape = field, times, shape
+        self.calls = 0
+        self.bad: tuple[Array, Array, float] | None = None  # velocities, points and time
+
+    def __call__(self, t: float, flat: Array) -> Array:
+        start, end = self.times
+        self.calls += 1
+        if self.calls > MOST_CALLS:
+            raise FloatingPointError(
+                f"the velocity cannot be integrated from t = {start:.6g} to {end:.6g}: after "
+                f"{MOST_CALLS} evaluations t = {t:.6g} is reached; it must be smooth"
+            )
+        x = flat.reshape(self.shape)
+        if not np.isfinite(x).all():  # later in a trial that is bad
+            return np.full_like(flat, np.nan)
+        v = real_array("velocity(x, t)", self.field(x.copy(), t), self.shape)
+        if not np.isfinite(v).all():
+            self.bad = v, x.copy(), t
+            if t == start:
+                self.refuse_bad()
+        return v.ravel()
+
+    def refuse_bad(self) -> None:
+        """Say where the last bad values are, if there are any."""
+        if self.bad is not None:
+            _check_finite("velocity(x, t)", *self.bad)
 
 
 def _check_finite(name: str, values: Array, x: Array, t: float) -> None:

@@ -129,6 +129,52 @@ def test_a_velocity_that_is_not_finite_stops_the_run(bad):
     assert [s.t for s in states] == [0.0, 0.1, 0.2]
 
 
+def test_a_trial_that_overflows_is_a_shorter_step_and_not_the_end():
+    """Points of the sphere are at rest; a first trial throws them to 1e127."""
+
+    def back(x, t):
+        return -1e4 * (np.sum(x * x, axis=1, keepdims=True) - 1) * x
+
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1, ec.to_unit_sphere)
+    law = ec.laws.Prescribed(velocity=back)
+    x = law.position(space.nodes, 0.1, (0.0, space.nodes))
+    np.testing.assert_allclose(x, space.nodes, rtol=0, atol=1e-12)
+
+
+def test_a_velocity_is_not_asked_for_at_points_that_are_not_finite():
+    def only_finite(x, t):
+        assert np.isfinite(x).all()
+        return -1e4 * (np.sum(x * x, axis=1, keepdims=True) - 1) * x
+
+    x = 1.001 * np.eye(3)
+    moved = ec.laws.Prescribed(velocity=only_finite).position(x, 0.1, (0.0, x))
+    np.testing.assert_allclose(moved, np.eye(3), rtol=0, atol=1e-11)
+
+
+def test_a_velocity_that_is_bad_at_the_start_is_asked_for_once():
+    times = []
+
+    def velocity(x, t):
+        times.append(t)
+        return x + np.nan if t >= 0.1 else 0 * x
+
+    with pytest.raises(FloatingPointError, match=r"velocity\(x, t\) is not .* at t = 0\.1: it"):
+        ec.laws.Prescribed(velocity=velocity).position(np.eye(3), 0.2, (0.1, np.eye(3)))
+    assert times == [0.1]
+
+
+def test_a_velocity_that_is_rough_comes_to_an_end(monkeypatch):
+    monkeypatch.setattr("esfem_core.laws.prescribed.MOST_CALLS", 500)
+    random = np.random.default_rng(0)
+    law = ec.laws.Prescribed(velocity=lambda x, t: random.normal(size=x.shape))
+    message = (
+        r"the velocity cannot be integrated from t = 0 to 0\.1: after 500 evaluations t = .* is "
+        "reached; it must be smooth"
+    )
+    with pytest.raises(FloatingPointError, match=message):
+        law.position(np.eye(3), 0.1, (0.0, np.eye(3)))
+
+
 def test_a_motion_that_is_not_finite_stops_the_run():
     def motion(p, t):
         return np.where((t > 0.25) & (p[:, :1] > 1), np.nan, (1 + t) * p)
