@@ -2,7 +2,7 @@
 
 from esfem_core.laws.dynamic import Dynamic
 from esfem_core.laws.fixed import Fixed
-from esfem_core.laws.law import Law, Solve, check_law, same_species
+from esfem_core.laws.law import Law, Solve, check_law, positions_of, same_species
 from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
@@ -26,6 +26,7 @@ __all__ = [
     "check_initial",
     "check_law",
     "finite_nodal",
+    "positions_of",
     "same_species",
     "values_at",
     "with_slip",

@@ -3,14 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, mapping, object_of, shown
+from esfem_core.checks import Array, mapping, object_of, real_array, shown
 from esfem_core.elements import Surface
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.species import Species
 
-__all__ = ["Law", "Solve", "check_law", "same_species"]
+__all__ = ["Law", "Solve", "check_law", "positions_of", "same_species"]
 
 Solve = Callable[[csr_array, Array], Array]
 
@@ -109,6 +110,28 @@ def check_law(law: Any) -> None:
         "law must have a method velocity, as Regularised(), MeanCurvature() and the others in "
         f"esfem_core.laws have (Law says what it does); got {shown(law)}{advice if fixed else ''}"
     )
+
+
+def positions_of(law: Any, nodes: Array, t: float, before: tuple[float, Array]) -> Array:
+    """What ``law.position`` returns, as an array that nobody else has.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shape is not that of the nodes, or they are no real numbers.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> import numpy as np
+    >>> flat = SimpleNamespace(position=lambda nodes, t, before: nodes[:, :2])
+    >>> positions_of(flat, np.eye(3), 0.0, (0.0, np.eye(3)))
+    Traceback (most recent call last):
+        ...
+    ValueError: what law.position returns must have shape (3, 3), got (3, 2)
+    """
+    returned = law.position(nodes, t, before)
+    return np.array(real_array("what law.position returns", returned, nodes.shape))
 
 
 def same_species(own: Mapping[str, Species], returned: object) -> Mapping[str, Species]:

@@ -1,12 +1,12 @@
 """Whether motion, exact solution and slip belong to the surface that a run starts on."""
 
 import warnings
-from collections.abc import Callable
 
 import numpy as np
 
 from esfem_core.checks import Array, finite_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
+from esfem_core.laws import positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
@@ -19,7 +19,7 @@ OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
 
 
-def check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -> None:
+def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
     """Refuse a motion that is not at the nodes for t = 0.
 
     Raises
@@ -27,7 +27,7 @@ def check_start_of_motion(space: SurfaceSpace, position: Callable[..., Array]) -
     ValueError
     """
     try:
-        x = position(space.nodes, 0.0, (0.0, space.nodes))
+        x = positions_of(law, space.nodes, 0.0, (0.0, space.nodes))
     except FloatingPointError as error:
         raise ValueError(
             f"motion must start on the surface, X(p, 0) = p, but {error}; a velocity "
@@ -53,7 +53,7 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
     law: object = problem.law
     if not hasattr(law, "position"):
         return
-    x = law.position(space.nodes, last.t, (last.t, last.x))
+    x = positions_of(law, space.nodes, last.t, (last.t, last.x))
     node, distance = _farthest(x, last.x, last.x)
     if not distance <= AT_START:
         raise ValueError(
@@ -99,7 +99,7 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
                 f"h = {h:.3g}"
             )
     if hasattr(problem.law, "position"):
-        x = problem.law.position(nodes, t, (0.0, nodes))
+        x = positions_of(problem.law, nodes, t, (0.0, nodes))
         wanted = finite_array("exact.x", exact.x(nodes.copy(), t), nodes.shape)
         node, distance = _farthest(wanted, x, nodes)
         if not distance <= LATER:

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, Ints, number, shown
 from esfem_core.elements import SurfaceSpace
+from esfem_core.laws import positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.checkpoints import space_of
 from esfem_core.stepping.retriangulation import Transfer, components, triangulated
@@ -183,7 +184,7 @@ def _on(
     x = _placed(old, state.x, P)
     law: Any = None if problem is None else problem.law
     if hasattr(law, "position"):
-        x = law.position(space.nodes, state.t, (state.t, x))
+        x = positions_of(law, space.nodes, state.t, (state.t, x))
     before = components(old)
     after = before[old.cells[transfer.cell, 0]]
     M = space.mass(x)

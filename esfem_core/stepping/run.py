@@ -444,7 +444,7 @@ def _steps_after_start(given: StartName | list[State], order: int, step: float, 
 def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
     law: object = problem.law
     if hasattr(law, "position"):
-        check_start_of_motion(space, law.position)
+        check_start_of_motion(space, law)
     elif len(space.boundary_nodes):
         raise ValueError(
             f"law must prescribe the motion of a surface with a boundary, got {law!r}: an equation "

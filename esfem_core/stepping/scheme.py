@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
-from esfem_core.laws import Part, Species, finite_nodal, same_species
+from esfem_core.laws import Part, Species, finite_nodal, positions_of, same_species
 from esfem_core.problems import Problem
 from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
@@ -149,7 +149,7 @@ class Scheme:
         x_past = combine(d[1:], history.x)
         given = None
         if hasattr(law, "position"):
-            given = law.position(self.space.nodes, t, (history.t, history.x[0]))
+            given = positions_of(law, self.space.nodes, t, (history.t, history.x[0]))
         x_tilde = extrapolate(history.x) if given is None else given
         for made in (*fields.values(), *([x_tilde] if given is None else [])):
             made.setflags(write=False)  # nobody else has it, so that it need not be copied

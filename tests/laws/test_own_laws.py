@@ -130,6 +130,30 @@ def test_a_step_may_change_the_rest(changed):
     np.testing.assert_allclose(last["q"], 1.0, rtol=1e-12)
 
 
+class Placed(Rest):
+    def __init__(self, places):
+        self.v, self.places = STILL, places
+
+    def position(self, nodes, t, before):
+        return self.places(nodes, t)
+
+
+def test_positions_of_a_law_are_checked_and_copied():
+    kept = SPACE.nodes.copy()
+    problem = ec.Problem(law=Placed(lambda nodes, t: kept))
+    *_, last = ec.evolve(SPACE, problem, 1, 0.1, 0.2)
+    assert kept.flags.writeable
+    assert not np.shares_memory(last.x, kept)
+    for places, error, message in (
+        (lambda p, t: p[:, :2], ValueError, r"what law.position returns must have shape \(258, 3"),
+        (lambda p, t: None, TypeError, "what law.position returns must hold real numbers"),
+    ):
+        with pytest.raises(error, match=message):
+            ec.evolve(SPACE, ec.Problem(law=Placed(places)), 1, 0.1, 0.2)
+    *_, last = ec.evolve(SPACE, ec.Problem(law=Placed(lambda p, t: p.tolist())), 1, 0.1, 0.2)
+    np.testing.assert_array_equal(last.x, SPACE.nodes)
+
+
 def bad(t):
     return np.nan if t > 0.25 else 0.0
 
