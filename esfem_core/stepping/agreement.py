@@ -11,7 +11,13 @@ from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
 
-__all__ = ["check_exact", "check_motion_of_start", "check_slip", "check_start_of_motion"]
+__all__ = [
+    "check_exact",
+    "check_exact_functions",
+    "check_motion_of_start",
+    "check_slip",
+    "check_start_of_motion",
+]
 
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
 LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
@@ -107,6 +113,31 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
                 f"exact must belong to the motion, but at t = {t:g} exact.x(p, t) = "
                 f"{wanted[node].tolist()} and the motion has {x[node].tolist()} for the node p = "
                 f"{nodes[node].tolist()}"
+            )
+
+
+def check_exact_functions(space: SurfaceSpace, problem: Problem, first: State) -> None:
+    """Refuse exact functions of another shape than the initial values, which they stand for.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution of all its functions.
+    first : State
+        With the initial values.
+
+    Raises
+    ------
+    ValueError
+    """
+    assert problem.exact is not None
+    values = problem.exact.nodal(space.nodes, 0.0)[2]
+    for name, w in first.fields.items():
+        if values[name].shape != w.shape:
+            raise ValueError(
+                f"exact.{name} must have the shape {w.shape} of the initial values of {name!r}, "
+                f"got {values[name].shape}"
             )
 
 

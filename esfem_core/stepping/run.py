@@ -38,6 +38,7 @@ from esfem_core.solvers import (
 )
 from esfem_core.stepping.agreement import (
     check_exact,
+    check_exact_functions,
     check_motion_of_start,
     check_slip,
     check_start_of_motion,
@@ -236,6 +237,8 @@ def evolve(
     _check_fixed(scheme, first)
     if isinstance(given, str) and problem.exact is not None:
         check_exact(space, problem, step)
+    if given == "exact":
+        check_exact_functions(space, problem, first)
     check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)

@@ -177,6 +177,16 @@ def test_times_and_starting_states():
     assert len(list(ec.evolve(SPACE, problem, 4, 0.1, 0.3))) == 4
 
 
+def test_exact_starting_values_have_the_shape_of_the_initial_ones():
+    exact = ec.Exact(lambda p, t: p, lambda p, t: 0 * p, fields={"w": lambda x, t: x})
+    problem = ec.Problem(species={"w": ec.Species(1.0)}, motion=lambda p, t: p, exact=exact)
+    n = len(SPACE.nodes)
+    message = rf"exact.w must have the shape \({n},\) of the initial values of 'w', got \({n}, 3\)"
+    with pytest.raises(ValueError, match=message):
+        ec.evolve(SPACE, problem, 2, 0.1, 0.5)
+    next(ec.evolve(SPACE, problem, 2, 0.1, 0.5, start="euler"))
+
+
 @pytest.mark.parametrize("p", [2, 3, 4, 5])
 def test_euler_start_has_order_p(p):
     """Against many small steps on the same mesh, since the spatial error would hide it.
