@@ -69,7 +69,7 @@ class Fixed:
         if len(given) != 2:
             raise ValueError(f"fixed must be {KINDS}, got {len(given)} things")
         where, values = given
-        return cls(values, _where(where))  # None is no node
+        return cls(values, _where(where))
 
     def may_be(self, other: "Fixed | None") -> bool:
         """Whether the two are the same, as far as can be seen: functions are not compared."""
@@ -158,6 +158,8 @@ class Fixed:
 
 
 def _where(given: Any) -> Any:
+    if given is None:
+        raise TypeError("the nodes of fixed must be numbers of nodes or a bool for each, got None")
     if np.asarray(given).dtype != bool:
         given = integer_array("the nodes of fixed", given, ("B",))
     return frozen(np.asarray(given))

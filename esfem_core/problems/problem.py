@@ -275,14 +275,14 @@ class Problem:
     def initial_values(self, x: Array) -> dict[str, Array]:
         """Nodal values at the nodes x, (N, 3), at the start.
 
-        Of all species but those of a law that takes them from the mesh.
+        Of all species that have some; a law may make those of its own from the mesh.
         """
         return {
             name: species.initial_values(
                 x, "u0" if name == "u" else f"the initial value of {name!r}"
             )
             for name, species in self.all_species.items()
-            if name in self.species or species.initial is not None
+            if species.initial is not None
         }
 
 

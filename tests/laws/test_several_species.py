@@ -120,6 +120,12 @@ def test_a_number_is_a_constant_initial_value():
         np.testing.assert_array_equal(number.u, same.u)
 
 
+def test_a_species_of_a_problem_without_initial_values_is_refused():
+    problem = ec.Problem(species={"u": ec.Species(None)}, law=law())
+    with pytest.raises(ValueError, match="'u' must have initial values, but its Species has None"):
+        ec.evolve(SPACE, problem, 1, 0.1, 0.2)
+
+
 @pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("solver", ["lagged", "direct"])
 def test_amounts_of_two_species_are_kept_starting_states_included(p, solver):

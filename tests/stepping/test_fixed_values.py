@@ -244,6 +244,7 @@ class TestSurfaces:
         (np.inf, ValueError, "fixed must be a finite number"),
         ((1, 2, 3), ValueError, "got 3 things"),
         (([0.5], 1.0), ValueError, r"the nodes of fixed must hold integers"),
+        ((None, 1.0), TypeError, "nodes of fixed must be numbers of nodes or a bool for each, got"),
         (([0], [np.nan]), ValueError, "the values of fixed must be finite"),
         (([True, False], 1.0), ValueError, r"a bool for each of 41 nodes, got shape \(2,\)"),
         ((np.zeros(41, bool), 1.0), ValueError, "must be one at least, got none"),
