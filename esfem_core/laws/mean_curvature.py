@@ -63,7 +63,8 @@ class MeanCurvature(Law):
         Speed along the normal: ``g(x, t)`` at points (N, 3), returning (N,); or ``g(at)`` on a
         :class:`esfem_core.Surface`, (T, Q), which may depend on species. Its gradient is that of
         a finite element function: of the nodal values of g(x, t), or of the nodal averages of
-        g(at), see :func:`esfem_core.elements.recovery.nodal_average`. None is zero.
+        g(at), see :func:`esfem_core.elements.recovery.nodal_average`. Two arguments without
+        defaults make it g(x, t), one makes it g(at). None is zero.
     normal, curvature : callable or array, optional
         Initial values: of points (N, 3) of the initial surface, or nodal ones; such as the methods
         `normal` and `mean_curvature` of an exact surface in
@@ -98,7 +99,7 @@ class MeanCurvature(Law):
     def __post_init__(self) -> None:
         number("beta", self.beta, above=0)
         if self.g is not None:
-            function("g", self.g, "g(at) or g(x, t), or None")
+            _takes_points(function("g", self.g, "g(at) or g(x, t), or None"))
         for name, shape in (("normal", ("N", 3)), ("curvature", ("N",))):
             value = getattr(self, name)
             if value is not None and not callable(value):
@@ -221,10 +222,15 @@ def _squared_weingarten(at: Surface) -> Array:
 
 def _takes_points(g: Callable[..., Any]) -> bool:
     """Whether g is called with (x, t) and not with a surface."""
-    needed = [
-        p
-        for p in signature(g).parameters.values()
-        if p.default is Parameter.empty
-        and p.kind in (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
-    ]
-    return len(needed) == 2
+    try:
+        parameters = signature(g).parameters.values()
+    except ValueError:  # some builtins do not tell
+        return False
+    kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
+    needed = sum(p.default is Parameter.empty and p.kind in kinds for p in parameters)
+    if needed not in (1, 2):
+        raise ValueError(
+            "g must be g(at) or g(x, t), with one or two arguments without defaults, got "
+            f"{needed or 'none'}"
+        )
+    return needed == 2

@@ -1,5 +1,7 @@
 """Mean curvature flow with evolved normal and curvature: closed forms, orders, equations."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from temporal import fine_run, temporal_orders
@@ -292,3 +294,16 @@ def test_the_length_of_the_normal_is_at_rest_where_the_surface_is():
     last = final(ec.evolve(space, ec.Problem(law=law), 2, 1 / 50, 1.0, start="euler"))
     length = np.linalg.norm(last["normal"], axis=1)
     assert abs(length - 1.01).max() < 1e-3  # exp(4) times 0.01 without the division
+
+
+def test_arguments_without_defaults_tell_functions_of_points_from_those_of_a_surface():
+    for wrong, found in ((lambda *given: 0.0, "none"), (lambda x, t, u: 0.0, "3")):
+        message = rf"g must be g\(at\) or g\(x, t\), .* without defaults, got {found}"
+        with pytest.raises(ValueError, match=message):
+            ec.laws.MeanCurvature(g=wrong)
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1, ec.to_unit_sphere)
+    at = ec.Surface(space, space.nodes, {}, 2.0)
+    scaled = partial(lambda x, t, scale: scale * t * np.ones(len(x)), scale=3.0)
+    assert ec.laws.MeanCurvature(g=scaled).forcing(at) == pytest.approx(6.0)
+    of_surface = ec.laws.MeanCurvature(g=lambda at, scale=2.0: scale * at.t)
+    assert of_surface.forcing(at) == pytest.approx(4.0)
