@@ -230,7 +230,7 @@ def test_negative_squares_are_not_cut():
     assert ec.errors.seminorm(A, np.ones(len(space.nodes))) < 1e-7
     with pytest.raises(ValueError, match="matrix must be positive semidefinite, but has the squ"):
         ec.errors.seminorm(-M, space.nodes)
-    with pytest.raises(ValueError, match="K must be positive semidefinite, but has the square"):
+    with pytest.raises(ValueError, match="K must be positive definite, but has the pivot -0"):
         ec.defects.dual_norm(-M, space.nodes)
 
 
