@@ -17,7 +17,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.checkpoints import space_of
-from esfem_core.stepping.retriangulation import Transfer, components, triangulated
+from esfem_core.stepping.retriangulation import Transfer, components_of_nodes, triangulated
 from esfem_core.stepping.state import State, known_space
 from esfem_core.surfaces import edges_of, smooth
 
@@ -185,7 +185,7 @@ def _on(
     law: Any = None if problem is None else problem.law
     if hasattr(law, "position"):
         x = positions_of(law, space.nodes, state.t, (state.t, x))
-    before = components(old)
+    before = components_of_nodes(old)
     after = before[old.cells[transfer.cell, 0]]
     M = space.mass(x)
     fields, products = {}, {}

@@ -26,7 +26,7 @@ from esfem_core.elements import (
 )
 from esfem_core.surfaces import Guide, MeshingError, evened, resized, without_unused
 
-__all__ = ["Transfer", "components", "triangulated"]
+__all__ = ["Transfer", "components_of_nodes", "triangulated"]
 
 FEWEST = 20  # triangles that a component must have room for, as many as an icosahedron has
 MOST = 10**6  # triangles
@@ -221,14 +221,14 @@ def _follows(at: Surface, normal: Array, transfer: Transfer, turn: float) -> Boo
     n = np.asarray(P @ normal)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.einsum("ti,tai->ta", plane, n[cells]).min(axis=1)
-    component = components(at.space)[at.space.cells[transfer.cell, 0]]
+    component = components_of_nodes(at.space)[at.space.cells[transfer.cell, 0]]
     torn = (component[cells] != component[cells[:, :1]]).any(axis=1)
     return np.asarray((cosine > turn) & ~torn)
 
 
 def _check_room(at: Surface, h: float) -> None:
     """Refuse a length that leaves a component too few triangles, or would make too many."""
-    component = components(at.space)[at.space.cells[:, 0]]
+    component = components_of_nodes(at.space)[at.space.cells[:, 0]]
     areas = np.bincount(component, at.density @ at.space.rule.weights)
     triangle = np.sqrt(3) / 4
     limit = float(np.sqrt(areas.min() / (FEWEST * triangle)))
@@ -245,7 +245,7 @@ def _check_room(at: Surface, h: float) -> None:
         )
 
 
-def components(space: SurfaceSpace) -> Ints:
+def components_of_nodes(space: SurfaceSpace) -> Ints:
     """Which component of the surface each node belongs to, (N,)."""
     labels = connected_components(space.pattern, directed=False)[1]
     return np.asarray(labels, dtype=np.int64)
