@@ -2,8 +2,10 @@
 
 Stored results are as good as the code that made them. A hash of the whole package would call them
 out of date after every change of a docstring or of a picture; here a function's own code is
-followed, name by name, through the definitions of the package that it can reach. Docstrings,
-comments and layout do not count.
+followed, name by name, through the definitions of the package that it can reach. What cannot change
+a result does not count: docstrings, comments, layout, what errors and warnings say, and what only
+refuses input, as functions named ``check_...`` do, and each ``if`` that does nothing but raise
+ValueError or TypeError. Of a class those methods count whose names stand in code that is reached.
 
 Code of the package is read from its files. That of a user, which may stand in a notebook, is
 followed from object to object by :mod:`esfem_core.study.user_code`.
@@ -16,7 +18,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = ["code_hash", "is_of_package", "reached"]
 
@@ -30,7 +32,8 @@ class _Module:
     Attributes
     ----------
     definitions : dict
-        Statements of the module that bind a name or change what it is bound to.
+        Statements of the module that bind a name or change what it is bound to. Methods stand
+        beside their class, as "Class.method".
     always : list
         Statements without a name of their own.
     imports : dict
@@ -58,7 +61,7 @@ def home(function: FunctionType) -> tuple[str | None, str]:
 def is_at_top(module: str | None, name: str) -> bool:
     """Whether a module of this package defines a name at its top."""
     read = _read(module, PACKAGE) if module else None
-    return read is not None and name in read.definitions
+    return read is not None and name in read.definitions and "." not in name
 
 
 def code_hash(function: Callable[..., Any]) -> str:
@@ -85,7 +88,7 @@ def code_hash(function: Callable[..., Any]) -> str:
     >>> len(code_hash(bdf.delta))
     12
     """
-    return hash_of(function.__module__, function.__qualname__, PACKAGE)
+    return hash_of(function.__module__, function.__qualname__, PACKAGE, whole=False)
 
 
 def reached(function: Callable[..., Any]) -> list[str]:
@@ -97,13 +100,17 @@ def reached(function: Callable[..., Any]) -> list[str]:
     >>> reached(bdf.delta)
     ['esfem_core.checks', 'esfem_core.stepping.bdf']
     """
-    found = _closure(function.__module__, function.__qualname__, PACKAGE)
+    found = _closure(function.__module__, function.__qualname__, PACKAGE, whole=False)
     return sorted({module for module, _ in found})
 
 
 @cache
-def hash_of(module: str, name: str, package: Path) -> str:
-    return _digest(_closure(module, name, package))
+def hash_of(module: str, name: str, package: Path, whole: bool = True) -> str:
+    """Hash of what a name of this package reaches.
+
+    If it is used by other code, classes count as a whole, since that code may call any method.
+    """
+    return _digest(_closure(module, name, package, whole))
 
 
 @cache
@@ -117,7 +124,7 @@ def hash_of_all(module: str) -> str:
         read = _read(name, PACKAGE)
         assert read is not None
         starts += [(name, key) for key in ("", *read.definitions)]
-    return _digest(_reached_from(starts, PACKAGE))
+    return _digest(_reached_from(starts, PACKAGE, whole=True))
 
 
 def _digest(texts: dict[tuple[str, str], str]) -> str:
@@ -127,35 +134,64 @@ def _digest(texts: dict[tuple[str, str], str]) -> str:
     return total.hexdigest()[:12]
 
 
-def _closure(module: str, name: str, package: Path) -> dict[tuple[str, str], str]:
+def _closure(module: str, name: str, package: Path, whole: bool) -> dict[tuple[str, str], str]:
     """Code of all definitions that a name reaches, by module and name."""
     start = _read(module, package)
     if start is None or name not in start.definitions:
         raise ValueError(f"{module}.{name} is not defined at the top of a module of {package.name}")
-    return _reached_from([(module, name)], package)
+    return _reached_from([(module, name)], package, whole)
 
 
-def _reached_from(waiting: list[tuple[str, str]], package: Path) -> dict[tuple[str, str], str]:
+def _reached_from(
+    waiting: list[tuple[str, str]], package: Path, whole: bool
+) -> dict[tuple[str, str], str]:
     found: dict[tuple[str, str], str] = {}
+    named: set[str] = set()
+    methods: dict[str, list[tuple[str, str]]] = {}  # of classes found, by name
     while waiting:
         key = waiting.pop()
-        if key not in found:
-            found[key], targets = _definition(*key, package)
-            waiting += targets
+        if key in found:
+            continue
+        definition = _definition(*key, package)
+        found[key] = definition.code
+        named |= definition.names
+        waiting += definition.targets
+        for method in definition.methods:
+            methods.setdefault(method.rpartition(".")[2], []).append((key[0], method))
+        for name in methods.keys() if whole else methods.keys() & named:
+            waiting += methods[name]
     return found
 
 
+class _Definition(NamedTuple):
+    """Code of a name, and what it reaches."""
+
+    code: str
+    targets: set[tuple[str, str]]  # modules and names there
+    names: set[str]  # all attributes and texts in it, which may be names of methods
+    methods: list[str]  # of a class
+
+
 @cache
-def _definition(module: str, name: str, package: Path) -> tuple[str, set[tuple[str, str]]]:
-    """Code of a name, and what it reaches at once; "" stands for statements without a name."""
+def _definition(module: str, name: str, package: Path) -> _Definition:
+    """A name of a module; "" stands for statements without a name."""
     here = _read(module, package)
     assert here is not None
     statements = here.definitions.get(name, here.always)
-    targets = {(module, "")}
+    targets, names = {(module, "")}, set()
     for statement in statements:
         for chain in chains(statement):
             targets.update(_targets(module, chain, package))
-    return repr(syntax(statements)), targets
+        names |= _names(statement)
+    methods = [key for key in here.definitions if name and key.startswith(f"{name}.")]
+    return _Definition(repr(syntax(statements)), targets, names, methods)
+
+
+def _names(statement: ast.stmt) -> set[str]:
+    """All attributes and texts in a statement."""
+    nodes = list(ast.walk(statement))
+    texts = {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    return texts | {n.attr for n in nodes if isinstance(n, ast.Attribute)}
 
 
 def _targets(module: str, chain: list[str], package: Path) -> Iterator[tuple[str, str]]:
@@ -207,7 +243,7 @@ def _read(module: str, package: Path) -> _Module | None:
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     if not file.is_file():
         return None
-    tree = ast.parse(file.read_text("utf8"))
+    tree = _WhatCounts().visit(ast.parse(file.read_text("utf8")))
     found = _Module()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
@@ -218,6 +254,8 @@ def _read(module: str, package: Path) -> _Module | None:
                 whole = alias.name if alias.asname else alias.name.partition(".")[0]
                 found.imports[alias.asname or whole] = whole, None
     for statement in tree.body:
+        if isinstance(statement, ast.ClassDef):
+            found.definitions.update(_methods(statement))
         names = _bound(statement)
         for name in names:
             found.definitions.setdefault(name, []).append(statement)
@@ -225,6 +263,43 @@ def _read(module: str, package: Path) -> _Module | None:
             found.always.append(statement)
     found.definitions.pop("__all__", None)
     return found
+
+
+class _WhatCounts(ast.NodeTransformer):
+    """Takes out of a file what errors and warnings say, and what only refuses input.
+
+    Errors of other kinds may be part of an algorithm: some are caught, and another way is tried.
+    """
+
+    def visit_If(self, node: ast.If) -> ast.If | None:
+        self.generic_visit(node)
+        return None if not node.orelse and all(map(_refuses, node.body)) else node
+
+    def visit_Raise(self, node: ast.Raise) -> ast.Raise:
+        return ast.Raise(node.exc.func if isinstance(node.exc, ast.Call) else node.exc)
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        called = node.value.func if isinstance(node.value, ast.Call) else None
+        name = getattr(called, "attr", getattr(called, "id", ""))
+        return None if name == "warn" or name.lstrip("_").startswith("check_") else node
+
+
+def _refuses(statement: ast.stmt) -> bool:
+    error = statement.exc if isinstance(statement, ast.Raise) else None
+    return isinstance(error, ast.Name) and error.id in ("TypeError", "ValueError")
+
+
+def _methods(statement: ast.ClassDef) -> dict[str, list[ast.stmt]]:
+    """Take the methods out of a class; those that Python itself calls, as __add__, stay there."""
+    methods: dict[str, list[ast.stmt]] = {}
+    rest: list[ast.stmt] = []
+    for member in statement.body:
+        if isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
+            methods.setdefault(f"{statement.name}.{member.name}", []).append(member)
+        else:
+            rest.append(member)
+    statement.body = rest
+    return methods
 
 
 def _bound(statement: ast.stmt) -> list[str]:

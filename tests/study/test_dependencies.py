@@ -1,5 +1,6 @@
 """A row depends on the code that its experiment reaches, and on no word beside it."""
 
+import ast
 import shutil
 
 import pytest
@@ -25,6 +26,12 @@ class Wall:
         # a comment
         return doors.width() * HOW_MANY
 
+    def paint(self):
+        return colour()
+
+    def __len__(self):
+        return 1
+
 def colour():
     return "white"
 ''',
@@ -48,7 +55,22 @@ def height():
 import house as h
 
 def build():
-    return h.Wall()
+    if not HEIGHT:
+        raise ValueError("no height")
+    wall = h.Wall()
+    if not wall:
+        raise Halted("no wall")
+    check_height(HEIGHT)
+    return wall.area()
+
+def check_height(height):
+    if height > 3:
+        raise ValueError("too high")
+
+class Halted(Exception):
+    pass
+
+HEIGHT = 2
 
 def paint():
     return h.doors.TABLE
@@ -70,7 +92,7 @@ def house(tmp_path):
         dependencies._read.cache_clear()
         dependencies._definition.cache_clear()
         dependencies.hash_of.cache_clear()
-        return dependencies.hash_of("house.start", start, package)
+        return dependencies.hash_of("house.start", start, package, whole=False)
 
     return hash_with
 
@@ -84,7 +106,10 @@ def house(tmp_path):
         ("numbers", "OTHER = 7", "OTHER = 8"),
         ("doors", "return OTHER", "return -OTHER"),
         ("walls", "class Wall:", "print(1)\nclass Wall:"),
+        ("walls", "return 1", "return 2"),
         ("start", "h.Wall()", "h.Wall(1)"),
+        ("start", "raise Halted", "raise OSError"),
+        ("start", "if not wall:", "if wall:"),
     ],
 )
 def test_code_that_is_reached_counts(house, name, old, new):
@@ -101,9 +126,13 @@ def test_code_that_is_reached_counts(house, name, old, new):
         ("walls", "white", "black"),
         ("doors", "return 2", "return 3"),
         ("doors", "h.colour", "h.Wall"),
+        ("walls", "return colour()", "return None"),
+        ("start", '"no wall"', '"still no wall"'),
+        ("start", "if not HEIGHT:", "if HEIGHT is None:"),
+        ("start", "height > 3", "height > 4"),
     ],
 )
-def test_words_layout_and_code_that_is_not_reached_do_not(house, name, old, new):
+def test_words_checks_layout_and_code_that_is_not_reached_do_not(house, name, old, new):
     assert house(name, old, new) == house()
 
 
@@ -139,8 +168,8 @@ def test_a_module_as_a_whole_counts_with_all_that_is_in_it(monkeypatch):
     real = dependencies._definition
 
     def changed(module, name, package):
-        text, targets = real(module, name, package)
-        return (text + "!" if (module, name) == place else text), targets
+        found = real(module, name, package)
+        return found._replace(code="") if (module, name) == place else found
 
     monkeypatch.setattr(dependencies, "_definition", changed)
     whole = dependencies.hash_of_all.__wrapped__
@@ -148,3 +177,11 @@ def test_a_module_as_a_whole_counts_with_all_that_is_in_it(monkeypatch):
     assert whole("esfem_core.laws") != code
     place = "esfem_core.study.cases", "run"
     assert whole("esfem_core.laws") == code
+
+
+def test_what_is_named_check_returns_nothing():
+    for path in sorted(dependencies.PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf8"))):
+            if isinstance(node, ast.FunctionDef) and node.name.lstrip("_").startswith("check_"):
+                returned = [n.value for n in ast.walk(node) if isinstance(n, ast.Return)]
+                assert not any(returned), f"{path.name}: {node.name}"
