@@ -98,12 +98,12 @@ FAULTS = [
         "@ ec.bdf.delta(p) / tau - dy(t)",
         "@ ec.bdf.delta(p)[::-1] / tau - dy(t)",
     ),
-    # extrapolation by a method of one order less
+    # extrapolation by a method of one order more
     (
         "04",
         "N-2.18-extrapolation",
         "order_of(extrapolated(p, ec.bdf.gamma(p))) for p",
-        "order_of(extrapolated(p, np.r_[ec.bdf.gamma(p - 1), 0])) for p",
+        "order_of(extrapolated(p + 1, ec.bdf.gamma(p + 1))) for p",
     ),
     # the weights of the differences are not 1/j
     (
