@@ -41,7 +41,7 @@ from esfem_core.study.rows import (
     set_aside,
     told,
 )
-from esfem_core.study.user_code import code_of
+from esfem_core.study.user_code import code_of, pieces
 
 __all__ = [
     "Experiment",
@@ -220,22 +220,62 @@ def checked(experiment: Experiment) -> Experiment:
     return replace(experiment, chains=[[plain("a case", c) for c in chain] for chain in chains])
 
 
-def _sent(compute: Callable[..., Any], executor: Executor | None) -> Any:
-    """What an executor is given of a function: bytes where it goes to another process.
+class _Sent(NamedTuple):
+    """What an executor is given of a function.
 
-    Executors of other kinds, such as those of Dask, have ways of their own.
+    Attributes
+    ----------
+    function : bytes or callable
+        Bytes where it goes to another process; executors of other kinds, such as those of Dask,
+        have ways of their own.
+    code : str
+        Its hash.
+    pieces : dict
+        What another process imports of it, see :func:`esfem_core.study.user_code.pieces`.
     """
-    return pickled(compute) if isinstance(executor, Processes | ProcessPoolExecutor) else compute
+
+    function: Any
+    code: str
+    pieces: dict[str, str]
 
 
-def _attempt(sent: Any, parameters: Parameters, code: str) -> Row | Failure:
+def _sent(compute: Callable[..., Any], executor: Executor | None) -> _Sent:
+    code = code_of(compute)
+    if executor is None:
+        return _Sent(compute, code, {})
+    known = isinstance(executor, Processes | ProcessPoolExecutor)
+    return _Sent(pickled(compute) if known else compute, code, pieces(compute))
+
+
+def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
     """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
     try:
-        return _computed(loads(sent) if isinstance(sent, bytes) else sent, parameters, code)
+        compute = loads(sent.function) if isinstance(sent.function, bytes) else sent.function
+        _check_loaded(compute, sent.pieces)
+        return _computed(compute, parameters, sent.code)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # CancelledError and SystemExit, too
         return Failure(parameters, transportable(error))
+
+
+_compared: set[tuple[tuple[str, str], ...]] = set()  # once for each study: cases may be many
+
+
+def _check_loaded(compute: Callable[..., Any], wanted: Mapping[str, str]) -> None:
+    """Refuse to compute with other code than that under which the row would be kept."""
+    key = tuple(wanted.items())
+    if key in _compared:
+        return
+    here = pieces(compute) if wanted else {}
+    for name, code in wanted.items():
+        if here.get(name, code) != code:
+            raise RuntimeError(
+                f"{name.partition(' ')[0]}, or a number or a string that it uses, is not the same "
+                "in the process that computes and in the one that has started the study: a module "
+                "was changed after one of them had read it; start both anew"
+            )
+    _compared.add(key)
 
 
 def _computed(compute: Callable[..., Any], parameters: Parameters, code: str) -> Row:
@@ -265,14 +305,12 @@ class _Chain:
         self,
         experiment: Experiment,
         store: Store,
-        sent: Any,
-        code: str,
+        sent: _Sent,
         wanted: str | None,
         waiting: list[Parameters],
     ) -> None:
         self.experiment, self.store, self.sent = experiment, store, sent
-        self.code, self.wanted = code, wanted
-        self.waiting = waiting
+        self.wanted, self.waiting = wanted, waiting
         self.attempts = 0
         self._last: Row | None = None
 
@@ -312,13 +350,13 @@ class _Campaign:
         self._unsaved: list[tuple[Store, Row]] = []
         self._reason: Exception = OSError()
 
-    def add(self, experiment: Experiment, folder: Path, stale: Stale, sent: Any) -> None:
+    def add(self, experiment: Experiment, folder: Path, stale: Stale, sent: _Sent) -> None:
         """Take in the chains of an experiment."""
-        store, code = Store(experiment.path(folder)), code_of(experiment.compute)
+        store = Store(experiment.path(folder))
         self._stores.append(store)
-        wanted = code if stale == "renew" else None
+        wanted = sent.code if stale == "renew" else None
         for chain in experiment.chains:
-            self.waiting.append(_Chain(experiment, store, sent, code, wanted, list(chain)))
+            self.waiting.append(_Chain(experiment, store, sent, wanted, list(chain)))
 
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Find, compute and keep."""
@@ -356,7 +394,7 @@ class _Campaign:
                 self._submit(chain)
 
     def _submit(self, chain: _Chain) -> None:
-        arguments = chain.sent, chain.waiting[0], chain.code
+        arguments = chain.sent, chain.waiting[0]
         try:
             future = self._executor.submit(_attempt, *arguments)
         except BrokenExecutor as error:

@@ -206,7 +206,12 @@ def run(
     -----
     In a script, a call stands under ``if __name__ == "__main__":``, since worker processes read the
     script. Functions of a notebook or a shell are sent to them by cloudpickle (extra ``cluster``);
-    without it they must stand in a module, or be computed with ``workers=0``.
+    without it they must stand in a module, or be computed with ``workers=0``. Modules are read by
+    each process when it begins: a case fails where a process has read another text of one than the
+    process that calls this. Reload a module that was edited (or start anew), and start pools anew.
+
+    What `compute` uses besides its parameters must stay what it is: a dict in which it keeps meshes
+    makes its rows out of date, and ``functools.cache``, on a function that makes them, does not.
 
     Examples
     --------

@@ -31,10 +31,10 @@ import trimesh
 from scipy.sparse import issparse
 
 from esfem_core.elements import SurfaceSpace
-from esfem_core.study import dependencies
+from esfem_core.study import dependencies, loaded
 from esfem_core.study.dependencies import PACKAGE, code_hash, is_of_package
 
-__all__ = ["code_of"]
+__all__ = ["code_of", "pieces"]
 
 BY_TEXT = (str, bytes, bytearray, bool, int, float, complex, type(None), type(...), range)
 """Values that their `repr` tells all of."""
@@ -47,6 +47,9 @@ WRAPPED = ("__wrapped__", "pyfunc", "py_func")
 
 WRAPPING = ("otypes", "signature", "excluded")
 """How numpy.vectorize calls it; what such an object keeps besides are caches."""
+
+SENT = ("__main__", "__mp_main__")
+"""Modules whose functions are sent to other processes with their code."""
 
 LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {
     *("__firstlineno__", "__static_attributes__", "__slotnames__", "__annotations__"),
@@ -81,13 +84,37 @@ def code_of(function: Callable[..., Any]) -> str:
     return _digest(function, {})[:12]
 
 
+def pieces(function: Callable[..., Any]) -> dict[str, str]:
+    """What each process imports for itself of a user's function: functions of modules, by name.
+
+    Returns
+    -------
+    dict
+        For each of them a hash of its byte code, and of the numbers and strings that it uses where
+        its module has such lines as ``N = 3``. (Others may differ from machine to machine.)
+        Different versions of Python have no names in common.
+    """
+    seen: dict[int, tuple[int, Any]] = {}
+    _digest(function, seen)
+    found: dict[str, str] = {}
+    for _, value in seen.values():
+        module, name = dependencies.home(value) if isinstance(value, FunctionType) else (None, "")
+        if module in SENT or _is_library(module) or _head(module) == PACKAGE.name:
+            continue
+        name = f"{module}.{name} ({sys.implementation.cache_tag})"
+        # Several may have the same name.
+        parts = [found.get(name), loaded.byte_code(value.__code__), loaded.constants(value)]
+        found[name] = _digest(parts, {})[:12]
+    return found
+
+
 def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
     """Hash of the texts of all that a value reaches, in the order in which it is met.
 
-    `seen` are the objects met before, with their numbers, by id; they are kept alive, so that no
-    id is used twice.
+    `seen` are the objects met before, with their numbers, by id, and receives those that it meets;
+    they are kept alive, so that no id is used twice.
     """
-    texts, seen, waiting = [], dict(seen), [value]
+    texts, waiting = [], [value]
     while waiting:
         value = waiting.pop()
         if type(value) in BY_TEXT:
@@ -99,7 +126,8 @@ def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
             text, parts = _told(value)
             if isinstance(value, set | frozenset):  # each by itself: their order is none
                 parts = sorted(
-                    repr(part) if type(part) in BY_TEXT else _digest(part, seen) for part in parts
+                    repr(part) if type(part) in BY_TEXT else _digest(part, dict(seen))
+                    for part in parts
                 )
             texts.append(text)
             waiting += reversed(parts)
@@ -289,35 +317,24 @@ def _held(function: FunctionType) -> list[Any]:
 
 
 def _source(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any]]:
-    """Code of a function, the a.b.c in it, and what it imports; byte code if it has no source."""
+    """Code of a function, the a.b.c in it, and what it imports.
+
+    That is its byte code if it has no source, or the source has been edited since it was loaded.
+    """
     code = function.__code__
     if code.co_name != "<lambda>":  # which need not be alone in its lines
         try:
-            tree = ast.parse(textwrap.dedent(inspect.getsource(code)))
+            tree = ast.parse(textwrap.dedent(loaded.source(code)))
         except (OSError, TypeError, SyntaxError):
             pass
         else:
             found = [chain for part in tree.body for chain in dependencies.chains(part)]
             return repr(dependencies.syntax(tree.body)), found, _imports(tree, function)
-    codes = list(_codes(code))
-    found = [chain for inner in codes for chain in _loaded(inner)]
-    texts = [(c.co_code, c.co_names, c.co_freevars, _without_code(c.co_consts)) for c in codes]
-    return texts, found, {}
+    found = [chain for inner in loaded.codes(code) for chain in _chains(inner)]
+    return loaded.byte_code(code), found, {}
 
 
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """The byte code of a function and of the functions in it."""
-    yield code
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _codes(constant)
-
-
-def _without_code(constants: tuple[Any, ...]) -> list[Any]:
-    return [constant for constant in constants if not isinstance(constant, CodeType)]
-
-
-def _loaded(code: CodeType) -> Iterator[list[str]]:
+def _chains(code: CodeType) -> Iterator[list[str]]:
     """All a.b.c in byte code, as lists of names."""
     chain: list[str] = []
     for step in dis.get_instructions(code):
@@ -366,7 +383,7 @@ def _module_of(kind: type) -> str | None:
 @cache
 def _is_library(module: str | None) -> bool:
     """Whether a module is none of the user's: built in, or installed."""
-    if module in (None, "__main__", "__mp_main__"):
+    if module is None or module in SENT:
         return module is None
     head = _head(module)
     if head == PACKAGE.name:  # installed or not, it is followed

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 import pytest
@@ -337,3 +337,23 @@ def test_the_table_escapes_what_it_shows(tmp_path):
     shown = results._repr_html_()
     assert "<b>" not in shown
     assert "&lt;i&gt;" in shown
+
+
+def test_no_row_is_computed_by_a_process_that_has_loaded_other_code(tmp_path, monkeypatch):
+    (tmp_path / "loaded_before.py").write_text("N = 3\ndef size(n):\n    return {'size': n * N}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    import loaded_before
+
+    class Pool(ThreadPoolExecutor):
+        def submit(self, fn, /, *args):
+            with monkeypatch.context() as patch:
+                patch.setattr(loaded_before, "N", 4)
+                future = super().submit(fn, *args)
+                wait([future])
+            return future
+
+    with Pool(1) as pool, pytest.warns(StudyWarning, match="RuntimeError: loaded_before.size, or"):
+        results, _ = study(tmp_path, [{"n": 1}], loaded_before.size, executor=pool, workers=1)
+    assert results.rows == []
+    [failure] = results.failures
+    assert "after one of them had read it; start both anew" in str(failure.error)

@@ -1,6 +1,7 @@
 """A row of a reader's function depends on what the function reaches, and on no word beside it."""
 
 import functools
+import importlib
 import linecache
 import operator
 import re
@@ -25,7 +26,7 @@ import esfem_core as ec
 from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, user_code
 from esfem_core.study.dependencies import code_hash
-from esfem_core.study.user_code import code_of
+from esfem_core.study.user_code import code_of, pieces
 
 SOURCE = '''
 import numpy as np
@@ -503,3 +504,57 @@ def test_recursion_ends():
 
 def test_a_function_of_the_package_is_read_from_its_file():
     assert code_of(bdf.delta) == code_hash(bdf.delta)
+
+
+def module(path, text, monkeypatch):
+    """A module in a file, imported."""
+    path.write_text(text)
+    monkeypatch.syspath_prepend(path.parent)
+    monkeypatch.delitem(sys.modules, path.stem, raising=False)
+    importlib.invalidate_caches()
+    monkeypatch.setitem(sys.modules, path.stem, importlib.import_module(path.stem))
+    return sys.modules[path.stem]
+
+
+EDITED = "N = 3\n\ndef other():\n    return 1\n\ndef compute(size):\n    return {'n': N * size}\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [("N * size", "N + size", False), ("N = 3", "# Lines\n\nN = 3", True), ("N = 3\n", "", True)],
+)
+def test_what_is_loaded_counts_and_not_what_the_file_says_by_now(
+    tmp_path, monkeypatch, old, new, same
+):
+    loaded = module(tmp_path / "edited.py", EDITED, monkeypatch)
+    before = code_of(loaded.compute)
+    (tmp_path / "edited.py").write_text(EDITED.replace(old, new))
+    assert (code_of(loaded.compute) == before) is same
+    assert loaded.compute(2) == {"n": 6}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("N * size", "N + size", False),
+        ("N = 3", "N = 4", False),
+        ("return 1", "return 2", True),
+        ("N = 3", "# Lines\n\nN = 3", True),
+    ],
+)
+def test_pieces_tell_whether_two_processes_have_loaded_the_same(
+    tmp_path, monkeypatch, old, new, same
+):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = pieces(module(tmp_path / "edited.py", EDITED, monkeypatch).compute)
+    after = pieces(module(tmp_path / "edited.py", EDITED.replace(old, new), monkeypatch).compute)
+    assert before.keys() == after.keys() == {f"edited.compute ({sys.implementation.cache_tag})"}
+    assert (before == after) is same
+
+
+def test_what_differs_from_machine_to_machine_is_no_piece(tmp_path, monkeypatch):
+    text = EDITED.replace("N = 3", "import os\nN = os.getpid()")
+    made = module(tmp_path / "machine.py", text, monkeypatch)
+    before = pieces(made.compute)
+    monkeypatch.setattr(made, "N", 3)
+    assert pieces(made.compute) == before
