@@ -75,6 +75,8 @@ def byte_code(code: CodeType) -> list[Any]:
     return [
         (
             c.co_code,
+            c.co_flags,  # whether it has *args and the like
+            c.co_varnames[: c.co_argcount + c.co_kwonlyargcount],
             c.co_names,
             c.co_freevars,
             [constant for constant in c.co_consts if not isinstance(constant, CodeType)],

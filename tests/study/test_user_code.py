@@ -431,6 +431,11 @@ def test_the_package_counts_where_it_is_used_also_when_it_is_installed(line, pla
     user_code._is_library.cache_clear()
 
 
+def test_arguments_of_functions_without_a_name_count():
+    assert code_of(lambda a, b: a - b) != code_of(lambda b, a: b - a)
+    assert code_of(lambda a: a) != code_of(lambda *a: a)
+
+
 def test_the_order_of_sets_does_not_count():
     assert list({0, 8}) != list({8, 0})
     assert code_of(lambda n: n in {0, 8}) == code_of(lambda n: n in {8, 0})
