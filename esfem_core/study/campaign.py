@@ -367,8 +367,13 @@ class _Campaign:
             while self.waiting or self._running:
                 yield from self._begin()
                 yield from self._finish()
-        finally:
+        except BaseException:  # GeneratorExit, too: the loop is left
             self._stop()
+            if self._unsaved:
+                text = str(set_aside(self._unsaved, self._reason))
+                warnings.warn(text, StudyWarning, stacklevel=2)
+            raise
+        self._stop()
         if self._unsaved:
             raise set_aside(self._unsaved, self._reason)
 
@@ -489,7 +494,6 @@ class _Campaign:
 
     def _stop(self) -> None:
         """Leave nothing behind: keep what is finished, end what runs."""
-        interrupted = bool(self._running or self.waiting)
         for future in self._running:
             future.cancel()
         if self._own:
@@ -501,5 +505,3 @@ class _Campaign:
         self._retry()
         for store in self._stores:
             store.close()
-        if interrupted and self._unsaved:
-            warnings.warn(str(set_aside(self._unsaved, self._reason)), StudyWarning, stacklevel=2)

@@ -56,12 +56,15 @@ class FileLocks:
             if self._is_current():
                 return True
             # Another process has removed the file between our opening and our locking it.
-            os.close(self._file)
+            file, self._file = self._file, -1
+            os.close(file)
             self._file = self._open()
         return False
 
     def give_back(self, number: int) -> None:
         """Let others take it."""
+        if self._file < 0:  # it could not be opened again
+            return
         with suppress(OSError):
             self._set(number, take=False)
 
@@ -92,6 +95,7 @@ class FileLocks:
                 self.path.unlink()
 
     def _open(self) -> int:
+        self.path.parent.mkdir(parents=True, exist_ok=True)  # it may be removed during a study
         return os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
 
     def _is_current(self) -> bool:

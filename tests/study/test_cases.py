@@ -357,3 +357,49 @@ def test_no_row_is_computed_by_a_process_that_has_loaded_other_code(tmp_path, mo
     assert results.rows == []
     [failure] = results.failures
     assert "after one of them had read it; start both anew" in str(failure.error)
+
+
+def test_a_folder_that_is_renamed_in_mid_study_costs_no_row(tmp_path):
+    folder, other = tmp_path / "results", tmp_path / "renamed"
+
+    def compute(size):
+        if size == 2:
+            folder.rename(other)
+        return {"size": size}
+
+    results, _ = study(folder, grid(size=(1, 2, 3)), compute)
+    assert [row.results["size"] for row in results.rows] == [1, 2, 3]
+    assert [len(read(path / "compute.jsonl")) for path in (other, folder)] == [1, 2]
+
+
+def test_rows_are_set_aside_when_nothing_can_be_written_any_more(tmp_path):
+    folder = tmp_path / "results"
+
+    def compute(size):
+        folder.rename(tmp_path / "renamed")
+        folder.touch()
+        return {"size": size}
+
+    with (
+        pytest.warns(StudyWarning, match="cannot be written"),
+        pytest.warns(StudyWarning, match=r"1 finished rows could not be written .*They are kept"),
+        pytest.raises(OSError, match="results"),
+    ):
+        study(folder, grid(size=(1, 2)), compute)
+
+
+def test_a_loop_that_is_left_at_the_last_case_tells_where_its_row_is(tmp_path):
+    folder = tmp_path / "results"
+
+    def compute(size):
+        folder.rename(tmp_path / "renamed")
+        folder.touch()
+        return {"size": size}
+
+    coming = ec.study.outcomes(
+        [ec.study.Experiment("a", "", compute, [[{"size": 1}]])], folder, workers=0
+    )
+    with pytest.warns(StudyWarning, match="cannot be written"):
+        assert next(coming).row
+    with pytest.warns(StudyWarning, match="1 finished rows could not be written"):
+        coming.close()
