@@ -113,9 +113,11 @@ def plain(name: str, value: Any) -> Any:
         raise ValueError(
             f"{name} must be an integer of at most {LARGEST} bits, got one of {value.bit_length()}"
         )
-    for kind in (int, float, str):
+    for kind in (int, float):
         if isinstance(value, kind):
             return kind(value)
+    if isinstance(value, str):
+        return str.__str__(value)  # of an Enum not its name, as str(value) would give
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):

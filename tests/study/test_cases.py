@@ -3,6 +3,7 @@
 import functools
 import json
 from concurrent.futures import ThreadPoolExecutor, wait
+from enum import Enum
 
 import numpy as np
 import pytest
@@ -121,6 +122,17 @@ def test_numpy_values_are_kept_as_numbers_and_lists(tmp_path):
     results, _ = study(tmp_path, grid(name=VALUES), compute)
     assert [row.results["value"] for row in results.rows] == [v for _, v in VALUES.values()]
     assert read(tmp_path / "compute.jsonl") == results.rows
+
+
+def test_a_member_of_an_enum_of_texts_is_its_text(tmp_path):
+    class Colour(str, Enum):  # noqa: UP042
+        RED = "red"
+
+    results, _ = study(tmp_path, [{"colour": Colour.RED}], lambda colour: {"is": colour}, name="n")
+    assert (results.rows[0].parameters, results.rows[0].results) == (
+        {"colour": "red"},
+        {"is": "red"},
+    )
 
 
 def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(tmp_path):
