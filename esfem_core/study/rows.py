@@ -166,7 +166,7 @@ def read(path: str | Path) -> list[Row]:
 
 
 def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
-    """Rows with these parameters.
+    """Rows with these parameters; values are the same that are the same case.
 
     Examples
     --------
@@ -175,7 +175,12 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     [0.1, 0.05]
     """
     wanted = {name: plain(name, value) for name, value in parameters.items()}
-    return [row for row in rows if all(row.parameters.get(k) == v for k, v in wanted.items())]
+    key = case_key(wanted)
+    return [row for row in rows if case_key(_only(wanted, row.parameters)) == key]
+
+
+def _only(names: Iterable[str], parameters: Parameters) -> Parameters:
+    return {name: parameters[name] for name in names if name in parameters}
 
 
 def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:

@@ -207,6 +207,16 @@ def test_rows_are_selected_by_values_of_any_library(tmp_path):
         assert select(results.rows, axes=axes) == results.rows[:1]
 
 
+def test_rows_are_selected_by_what_tells_cases_apart(tmp_path):
+    values = (1, True, None, float("nan"), -0.5)
+    rows = study(tmp_path, grid(v=values), lambda v: {}, name="n")[0].rows
+    assert len(rows) == len(values)
+    for value, row in zip(values, rows, strict=True):
+        assert select(rows, v=value) == [row]
+    assert select(rows, v=1.0) == rows[:1]
+    assert select(rows, other=None) == []
+
+
 @pytest.mark.parametrize("values", ["updated", 3, np.array(2)])
 def test_a_single_value_is_no_sequence_of_values(values):
     with pytest.raises(
