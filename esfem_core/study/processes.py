@@ -77,16 +77,20 @@ def pickled(function: Callable[..., Any]) -> bytes:
 def transportable(error: BaseException) -> Exception:
     """An exception that arrives in another process as what it is, with the place of its origin."""
     where = "".join(traceback.format_exception(error))
+    try:
+        text = str(error)
+    except Exception:  # a slip in the class of a reader
+        text = "<no text>"
     if isinstance(error, SystemExit):
         error = RuntimeError(f"the case ended with sys.exit({error.code!r})")
     elif not isinstance(error, Exception):
-        error = RuntimeError(f"the case raised {type(error).__name__}: {error}")
+        error = RuntimeError(f"the case raised {type(error).__name__}: {text}")
     try:
         found = pickle.loads(pickle.dumps(error))
         if type(found) is not type(error) or str(found) != str(error):
             raise TypeError
     except Exception:
-        found = RuntimeError(f"{type(error).__name__}: {error}")
+        found = RuntimeError(f"{type(error).__name__}: {text}")
     found.add_note(where)
     return found  # type: ignore[no-any-return]
 

@@ -320,6 +320,14 @@ def test_errors_that_cannot_be_sent_are_told():
     assert (type(found), str(found)) == (RuntimeError, "OwnError: 1 and 2")
     assert json.dumps(str(transportable(ValueError("a"))))
 
+    class SilentError(Exception):
+        def __str__(self):
+            return self.missing
+
+    found = transportable(SilentError())
+    assert (type(found), str(found)) == (RuntimeError, "SilentError: <no text>")
+    assert "SilentError" in found.__notes__[0]
+
 
 @pytest.mark.parametrize("kind", [CancelledError, GeneratorExit, SystemExit])
 @pytest.mark.parametrize("workers", [0, 1])
