@@ -209,7 +209,11 @@ def _is_cut_off(line: bytes) -> bool:
 
 
 def _row(line: bytes) -> Row:
-    found = json.loads(line)
+    try:
+        found = json.loads(line)
+    except ValueError:
+        beginning = line[:20].decode(errors="replace")  # such as a mark of a merge
+        raise ValueError(f"it is no JSON, but begins with {beginning!r}") from None
     if not isinstance(found, dict) or set(found) != {"parameters", "results", "provenance"}:
         raise ValueError("it must hold parameters, results and provenance")
     if not all(isinstance(part, dict) for part in found.values()):

@@ -263,6 +263,13 @@ def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, te
     assert path.read_text() == text
 
 
+def test_a_mark_of_a_merge_is_shown(tmp_path):
+    path = tmp_path / "a.jsonl"
+    path.write_text(f"{GOOD}\n<<<<<<< HEAD\n{GOOD}\n=======\n")
+    with pytest.raises(ValueError, match="line 2: it is no JSON, but begins with '<<<<<<< HEAD'"):
+        read(path)
+
+
 def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
     path = tmp_path / "compute.jsonl"
 
