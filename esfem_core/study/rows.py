@@ -153,6 +153,8 @@ def _counted(value: Any) -> Any:
 def read(path: str | Path) -> list[Row]:
     """The finished cases in a file; none if there is no such file yet.
 
+    Of several rows of a case, as after two files were put together, the last one counts.
+
     Raises
     ------
     TypeError
@@ -162,7 +164,8 @@ def read(path: str | Path) -> list[Row]:
         leaves; it is not read.)
     """
     path = path_of("path", path, "a file")
-    return _parse(path, path.read_bytes())[0] if path.exists() else []
+    rows = _parse(path, path.read_bytes())[0] if path.exists() else []
+    return list({case_key(row.parameters): row for row in rows}.values())
 
 
 def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:

@@ -263,6 +263,14 @@ def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, te
     assert path.read_text() == text
 
 
+def test_the_last_row_of_a_case_counts(tmp_path):
+    path = tmp_path / "a.jsonl"
+    other = GOOD.replace('{"size": 1}', '{"size": 2}')
+    newer = GOOD.replace('"0"', '"1, source new"')
+    path.write_text(f"{GOOD}\n{other}\n{newer}\n")
+    assert [(row.parameters["size"], row.code) for row in read(path)] == [(1, "new"), (2, "")]
+
+
 def test_a_mark_of_a_merge_is_shown(tmp_path):
     path = tmp_path / "a.jsonl"
     path.write_text(f"{GOOD}\n<<<<<<< HEAD\n{GOOD}\n=======\n")
