@@ -78,9 +78,14 @@ def observed_orders(sizes: ArrayLike, values: ArrayLike) -> Array:
         raise ValueError(f"sizes must be positive, neighbours different, got {h.tolist()}")
     if np.any(e < 0):
         raise ValueError(f"values must not be negative, got {e.tolist()}")
-    e = np.where((e > 0) & (e < np.inf), e, np.nan)  # zero has no order
-    h, e = np.log(h), np.log(e)
-    return np.asarray((e[:-1] - e[1:]) / (h[:-1] - h[1:]))
+    return _orders(h, e)
+
+
+def _orders(sizes: Array, values: Array) -> Array:
+    """Orders where there are some, and NaN elsewhere."""
+    h, e = (np.log(np.where((a > 0) & (a < np.inf), a, np.nan)) for a in (sizes, values))
+    refined = h[:-1] - h[1:]
+    return np.asarray((e[:-1] - e[1:]) / np.where(refined == 0, np.nan, refined))
 
 
 @dataclass(frozen=True)
@@ -229,8 +234,12 @@ class ConvergenceTable:
             raise KeyError(f"the table has no error {name!r}, only {known}") from None
 
     def orders(self, name: str) -> Array:
-        """Observed orders of one error between neighbouring sizes, see :func:`observed_orders`."""
-        return observed_orders(self.sizes, self[name])
+        """Observed orders of one error between neighbouring sizes, see :func:`observed_orders`.
+
+        NaN where there is none: also beside a value that is negative, as a difference of two
+        volumes may be, and between equal sizes.
+        """
+        return _orders(self.sizes, self[name])
 
     def select(self, *names: str) -> "ConvergenceTable":
         """The same table with some of the errors."""

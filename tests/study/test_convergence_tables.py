@@ -46,6 +46,19 @@ def test_sizes_and_values_without_orders_are_refused(sizes, values, message):
         observed_orders(sizes, values)
 
 
+def test_a_table_shows_values_that_have_no_order():
+    rows = [{"volume": v} for v in (4e-2, -1e-2, 4e-3, 1e-3, 1e-3)]
+    table = ec.study.ConvergenceTable.of("h", [0.4, 0.2, 0.1, 0.05, 0.05], rows)
+    np.testing.assert_allclose(table.orders("volume"), [np.nan, np.nan, 2, np.nan], rtol=1e-12)
+    assert [line.split()[1:] for line in str(table).splitlines()[1:]] == [
+        ["4.00e-02"],
+        ["-1.00e-02", "–"],
+        ["4.00e-03", "–"],
+        ["1.00e-03", "2.00"],
+        ["1.00e-03", "–"],
+    ]
+
+
 def test_the_final_state_is_the_last_of_a_run():
     assert final(ec.State(t, np.zeros((4, 3))) for t in range(3)).t == 2
     with pytest.raises(ValueError, match="states must hold at least one"):
