@@ -257,7 +257,11 @@ class ConvergenceTable:
 
     def __str__(self) -> str:
         header, rows = self._cells()
-        return "\n".join("  ".join(f"{cell:>9}" for cell in row) for row in [header, *rows])
+        widths = [max(9, *map(len, column)) for column in zip(header, *rows, strict=True)]
+        return "\n".join(
+            "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            for row in [header, *rows]
+        )
 
     def _repr_html_(self) -> str:
         header, rows = self._cells()

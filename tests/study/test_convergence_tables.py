@@ -59,6 +59,16 @@ def test_a_table_shows_values_that_have_no_order():
     ]
 
 
+def test_long_names_stand_above_their_columns():
+    rows = [{"volume of the inside": 4e-2}, {"volume of the inside": 1e-2}]
+    lines = str(ec.study.ConvergenceTable.of("refinements", [0.4, 0.2], rows)).splitlines()
+    assert lines == [
+        "refinements  volume of the inside      order",
+        "        0.4              4.00e-02           ",
+        "        0.2              1.00e-02       2.00",
+    ]
+
+
 def test_the_final_state_is_the_last_of_a_run():
     assert final(ec.State(t, np.zeros((4, 3))) for t in range(3)).t == 2
     with pytest.raises(ValueError, match="states must hold at least one"):
