@@ -217,7 +217,9 @@ def checked(experiment: Experiment) -> Experiment:
     for parameters in (case for chain in chains for case in chain):
         if not isinstance(parameters, Mapping):
             raise TypeError(f"a case must be a dict of parameters, got {shown(parameters)}")
-    return replace(experiment, chains=[[plain("a case", c) for c in chain] for chain in chains])
+    # An array would arrive as a list, of which the double is no vector twice as long.
+    chains = [[plain("a case", c, arrays=False) for c in chain] for chain in chains]
+    return replace(experiment, chains=chains)
 
 
 class _Sent(NamedTuple):

@@ -155,8 +155,9 @@ def run(
     Parameters
     ----------
     cases : iterable of dict, or of sequences of dict
-        Parameters, of numbers, strings, booleans, None, and lists and dicts of them. A sequence is
-        a chain, whose cases are computed one after the other until one fails or `enough` is true.
+        Parameters, of numbers, strings, booleans, None, and lists and dicts of them (no arrays:
+        `compute` makes them of lists; tuples arrive as lists). A sequence is a chain, whose cases
+        are computed one after the other until one fails or `enough` is true.
     compute : callable
         ``compute(**parameters)`` returns a dict of numbers, strings, arrays, lists, dicts.
     folder : path

@@ -75,7 +75,7 @@ class UnsavedRowsError(OSError):
         self.rows = rows
 
 
-def plain(name: str, value: Any) -> Any:
+def plain(name: str, value: Any, *, arrays: bool = True) -> Any:
     """A value as JSON can hold it: NumPy's scalars as numbers, its arrays as lists.
 
     Parameters
@@ -84,6 +84,8 @@ def plain(name: str, value: Any) -> Any:
         What the message calls it.
     value : object
         Named tuples become dicts, other tuples lists. NaN and infinity stay what they are.
+    arrays : bool
+        Whether it may hold arrays.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def plain(name: str, value: Any) -> Any:
     if isinstance(value, np.generic):
         if value.dtype.kind in "biufU":
             value = float(value) if value.dtype.kind == "f" else value.item()
-    elif isinstance(value, np.ndarray):
+    elif isinstance(value, np.ndarray) and (arrays or not value.ndim):
         value = value.astype(float).tolist() if value.dtype.kind == "f" else value.tolist()
     if value is None or isinstance(value, bool):
         return value
@@ -121,12 +123,15 @@ def plain(name: str, value: Any) -> Any:
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {str(key): plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
+        return {
+            str(key): plain(f"{name}[{key!r}]", entry, arrays=arrays)
+            for key, entry in value.items()
+        }
     if isinstance(value, list | tuple):
-        return [plain(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
+        return [plain(f"{name}[{i}]", entry, arrays=arrays) for i, entry in enumerate(value)]
     raise TypeError(
-        f"{name} must be a number, a string, a boolean, None, an array, or a list or a dict of "
-        f"those with strings as keys, got {shown(value)}"
+        f"{name} must be a number, a string, a boolean, None, {'an array, ' * arrays}or a list or "
+        f"a dict of those with strings as keys, got {shown(value)}"
     )
 
 

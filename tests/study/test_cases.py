@@ -309,6 +309,11 @@ def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
             "a chain of cases must be a sequence of dicts of parameters, g",
         ),
         ({"cases": [[1]]}, TypeError, "a case must be a dict of parameters, got 1"),
+        (
+            {"cases": [{"f": {"x": [np.zeros(3)]}}]},
+            TypeError,
+            r"a case\['f'\]\['x'\]\[0\] must be a number, a string, a boolean, None, or a list or",
+        ),
         ({"cases": [{"f": len}]}, TypeError, r"a case\['f'\] must be a number, .* got <built-in"),
         ({"compute": 3}, TypeError, "compute must be a function, got 3"),
         ({"compute": lambda: 0}, ValueError, "name must be made of letters, .* got '<lambda>'"),
