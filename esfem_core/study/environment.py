@@ -58,6 +58,11 @@ def _package() -> str:
     return source_hash()
 
 
+@cache
+def _version() -> str:
+    return version("esfem-core")
+
+
 def environment(code: str | None = None) -> dict[str, str]:
     """Date (UTC), code, libraries and machine.
 
@@ -74,7 +79,7 @@ def environment(code: str | None = None) -> dict[str, str]:
     """
     return {
         "date": datetime.now(UTC).date().isoformat(),
-        "esfem_core": f"{version('esfem-core')}, source {code or _package()}",
+        "esfem_core": f"{_version()}, source {code or _package()}",
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,
@@ -82,6 +87,7 @@ def environment(code: str | None = None) -> dict[str, str]:
     }
 
 
+@cache
 def _processor() -> str:
     """Its name, where the system says it."""
     cpuinfo = Path("/proc/cpuinfo")

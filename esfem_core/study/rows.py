@@ -252,6 +252,7 @@ class Store:
         self.path = path.resolve()  # what is replaced is the file, and not a link to it
         self._rows: dict[str, Row] = {}
         self._seen: tuple[int, ...] = ()
+        self._read = b""  # that part of the file of which the rows are known
         self._claimed: set[str] = set()
         self._refresh()
         self._locks = FileLocks(self.path.with_name(f".{self.path.name}.lock"))
@@ -294,8 +295,8 @@ class Store:
             old = self._rows.get(key)
             if old and old.code == row.code:
                 return old
-            rows = self._rows | {key: row}
             if old:
+                rows = self._rows | {key: row}
                 self._replace(b"".join(map(_line, rows.values())))
             else:
                 self._append(_line(row))
@@ -306,24 +307,37 @@ class Store:
         self._locks.close()
 
     def _refresh(self) -> None:
-        """Read the file again if it has changed."""
+        """Read the file if it has changed."""
         try:
             now = self.path.stat()
         except FileNotFoundError:
-            self._rows, self._seen = {}, ()
+            self._rows, self._seen, self._read = {}, (), b""
             return
         seen = now.st_ino, now.st_size, now.st_mtime_ns
         if seen != self._seen:
-            rows = read(self.path)
-            self._rows, self._seen = {case_key(row.parameters): row for row in rows}, seen
+            self._take(self.path.read_bytes())
+            self._seen = seen
+
+    def _take(self, data: bytes) -> None:
+        """Take in what the file holds now; rows are most of the work, and looked at once."""
+        whole = self._read.endswith(b"\n") and data.startswith(self._read)
+        known = len(self._read) if whole else 0
+        try:
+            rows, size = _parse(self.path, data[known:])
+        except ValueError:
+            _parse(self.path, data)  # tells the number of the line
+            raise
+        before = self._rows if known else {}
+        self._rows = before | {case_key(row.parameters): row for row in rows}
+        self._read = data[: known + size]
 
     def _append(self, line: bytes) -> None:
         """Add a line, whole or not at all, after the last row."""
         with self.path.open("ab", buffering=0) as file:
-            data = self.path.read_bytes()
-            _, end = _parse(self.path, data)
+            self._take(self.path.read_bytes())
+            end = len(self._read)
             file.truncate(end)
-            if end and data[end - 1 : end] != b"\n":
+            if end and not self._read.endswith(b"\n"):
                 line = b"\n" + line
             try:
                 _write(file.fileno(), line)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.study import StudyWarning, grid, read, run, select
+from esfem_core.study import StudyWarning, grid, read, rows, run, select
 
 FACTOR = 1
 
@@ -269,6 +269,42 @@ def test_the_last_row_of_a_case_counts(tmp_path):
     newer = GOOD.replace('"0"', '"1, source new"')
     path.write_text(f"{GOOD}\n{other}\n{newer}\n")
     assert [(row.parameters["size"], row.code) for row in read(path)] == [(1, "new"), (2, "")]
+
+
+def test_rows_are_read_once_however_many_there_are(tmp_path, monkeypatch):
+    sizes, parse = [], rows._parse
+
+    def counted(path, data):
+        sizes.append(len(data))
+        return parse(path, data)
+
+    monkeypatch.setattr(rows, "_parse", counted)
+    results, _ = study(tmp_path, grid(size=range(20)), lambda size: {"size": size}, name="a")
+    # The last one is not read again.
+    assert sum(sizes) == len(b"".join(map(rows._line, results.rows[:-1])))
+    assert read(tmp_path / "a.jsonl") == results.rows
+
+
+def test_a_store_sees_what_others_do_to_its_file(tmp_path):
+    path = tmp_path / "a.jsonl"
+    store, other = rows.Store(path), rows.Store(path)
+    one, two, three = (rows.Row({"size": size}, {}, {}) for size in (1, 2, 30))
+    lines = [rows._line(row) for row in (one, two, three)]
+    store.put(one)
+    other.put(two)
+    assert store.find({"size": 2}) == two
+    path.write_bytes(b"".join(lines[1:]))  # in place, and longer than before
+    assert (store.find({"size": 1}), store.find({"size": 30})) == (None, three)
+    path.write_bytes(lines[0] + lines[2] + lines[1][:20])
+    store.put(two)
+    assert path.read_bytes() == lines[0] + lines[2] + lines[1]
+    path.write_bytes(path.read_bytes() + b"spoilt\n")
+    with pytest.raises(ValueError, match="line 4: it is no JSON, but begins with 'spoilt'"):
+        store.find({"size": 1})
+    path.unlink()
+    assert store.find({"size": 1}) is None
+    store.close()
+    other.close()
 
 
 def test_a_mark_of_a_merge_is_shown(tmp_path):
