@@ -14,6 +14,9 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import os
+import random
+import re
 import sys
 import sysconfig
 import textwrap
@@ -50,6 +53,13 @@ WRAPPING = ("otypes", "signature", "excluded")
 
 SENT = ("__main__", "__mp_main__")
 """Modules whose functions are sent to other processes with their code."""
+
+DRAWING: tuple[Any, ...] = (random.random, np.random.random_sample)
+SHARED = (os.environ, *(function.__self__ for function in DRAWING))
+"""What a process has one of, such as the generator that numbers of numpy.random are drawn from.
+
+It counts by name, since what it holds is another matter in every process.
+"""
 
 LEFT_OUT = {"__module__", "__qualname__", "__doc__", "__dict__", "__weakref__"} | {
     *("__firstlineno__", "__static_attributes__", "__slotnames__", "__annotations__"),
@@ -173,7 +183,7 @@ def _told_of_array(value: Any) -> Told:
 def _told_of_library(value: Any) -> Told:
     """What tells an object of a class that is built in, or of another package."""
     name = type(value).__name__
-    if isinstance(value, CACHES):
+    if isinstance(value, CACHES) or any(value is shared for shared in SHARED):
         return name, []
     if isinstance(value, Mapping):
         parts = [part for item in value.items() for part in item]
@@ -324,7 +334,7 @@ def _source(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any
     code = function.__code__
     if code.co_name != "<lambda>":  # which need not be alone in its lines
         try:
-            tree = ast.parse(textwrap.dedent(loaded.source(code)))
+            tree = ast.parse(_renumbered(textwrap.dedent(loaded.source(code))))
         except (OSError, TypeError, SyntaxError):
             pass
         else:
@@ -332,6 +342,16 @@ def _source(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any
             return repr(dependencies.syntax(tree.body)), found, _imports(tree, function)
     found = [chain for inner in loaded.codes(code) for chain in _chains(inner)]
     return loaded.byte_code(code), found, {}
+
+
+def _renumbered(text: str) -> str:
+    """The same with other numbers in names that sympy.lambdify makes: it counts in all it does."""
+    numbers: dict[str, int] = {}
+    return re.sub(
+        r"\b_Dummy_\d+\b",
+        lambda found: f"_Dummy_{numbers.setdefault(found[0], len(numbers))}",
+        text,
+    )
 
 
 def _chains(code: CodeType) -> Iterator[list[str]]:

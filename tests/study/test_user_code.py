@@ -4,6 +4,8 @@ import functools
 import importlib
 import linecache
 import operator
+import os
+import random
 import re
 import sys
 import types
@@ -19,6 +21,7 @@ from threading import Lock
 import numpy as np
 import pytest
 import scipy
+import scipy.stats
 import sympy
 from scipy.sparse import coo_array
 
@@ -477,6 +480,46 @@ def test_what_objects_have_computed_in_the_meantime_does_not_count():
     assert used.again(1) == used.each([1])[0] == 1
     assert used.surface.M.nnz
     assert code_of(lambda: used) == before
+
+
+@pytest.mark.parametrize(
+    "used",
+    [
+        scipy.stats.norm,
+        random.gauss,
+        random.random,
+        np.random.normal,
+        os.environ,
+        functools.partial(np.random.uniform, 1),
+    ],
+)
+def test_what_is_other_in_every_process_does_not_count(used, monkeypatch):
+    def compute():
+        return used
+
+    before = code_of(compute)
+    random.random()
+    np.random.normal()  # noqa: NPY002
+    monkeypatch.setenv("ESFEM_TEST", "1")
+    assert code_of(compute) == before
+
+
+def test_own_generators_count():
+    def make(value):
+        return lambda: value
+
+    assert code_of(make(random.Random(1).random)) != code_of(make(random.Random(2).random))
+    assert code_of(make(random.random)) != code_of(make(random.gauss))
+
+
+def test_the_count_of_symbols_does_not_count():
+    def make(formula):
+        x, y = sympy.symbols("x y")
+        made = sympy.lambdify([(x, y), sympy.Function("f")(x)], formula)
+        return lambda: made
+
+    assert code_of(make("x + y")) == code_of(make("x + y"))
+    assert code_of(make("x + y")) != code_of(make("y - x"))
 
 
 def test_what_cannot_be_pickled_counts_by_its_class():
