@@ -25,7 +25,6 @@ from doors import (
 
 import esfem_core as ec
 from esfem_core import elements, solvers, stepping, surfaces, theory
-from esfem_core.output import surface_animation
 from esfem_core.study import ConvergenceTable, final, observed_orders, space_study, time_study
 
 DEGREES = (0, -1, 1000, 10**12)
@@ -538,10 +537,6 @@ def doors() -> list[Door]:
               "title": text("a"), "label": text("a", optional=True),
               "limits": array((0.0, 1.0), (1.0, 0.0), optional=True),
               "duration": whole(80, 0, -1)}),
-        Door("surface_animation", surface_animation,
-             {"space": one(space), "states": several(states[:1]),
-              "values": function(lambda s: s.u, optional=True), "title": text("a"),
-              "label": text("a"), "div_id": text("a"), "duration": whole(80, 0, -1)}),
         Door("SeriesWriter", ec.SeriesWriter,
              {"path": Argument(str(folder / "b.pvd"), "listed",
                                [1, None, [], "a.txt", "", b"a", "/no/such/folder/a.pvd", True]),

@@ -31,7 +31,6 @@ COSTLY = {  # integer-like floats could ask for millions of vertices, or for day
     "bisected_sphere",
     "defects",
     "animate",
-    "surface_animation",
     "plot",
     "time_study",
 }  # nothing made up

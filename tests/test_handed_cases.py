@@ -88,7 +88,6 @@ def test_no_solver_is_slow_on_meshes_of_hubs_and_long_triangles(solver):
 
 
 def test_html_of_names_and_cells_is_escaped():
-    from esfem_core.output import surface_animation
     from esfem_core.study import ConvergenceTable
     from esfem_core.tables import Html, html_table
 
@@ -100,10 +99,7 @@ def test_html_of_names_and_cells_is_escaped():
     assert "<b>1</b>" in text  # asked for as HTML
     space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
     states = [ec.State(0.0, space.nodes, None, space.nodes[:, 0], space=space)]
-    page = surface_animation(space, states, label=bad, title=bad).text
-    assert bad not in page
-    with pytest.raises(ValueError, match="div_id must be letters, digits, - and _, got"):
-        surface_animation(space, states, div_id=f'"{bad}')
+    assert bad not in ec.animate(states, label=bad, title=bad).text
 
 
 def test_factors_refuse_rows_that_do_not_fit_and_take_no_columns():

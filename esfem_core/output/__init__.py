@@ -1,6 +1,6 @@
 """What a person looks at: plots and moving surfaces; files for other programs."""
 
-from esfem_core.output.animation import animate, surface_animation
+from esfem_core.output.animation import animate
 from esfem_core.output.pictures import plot
 from esfem_core.output.plotting import COLOURS, MARKERS, convergence_plot, style
 from esfem_core.output.series import SeriesWriter, TableWriter, save_series, save_table
@@ -16,5 +16,4 @@ __all__ = [
     "save_series",
     "save_table",
     "style",
-    "surface_animation",
 ]

@@ -8,26 +8,12 @@ from __future__ import annotations
 
 import html
 import os
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from numpy.typing import ArrayLike
-
-from esfem_core.checks import (
-    finite_array,
-    function,
-    iterable,
-    number,
-    object_of,
-    output_path,
-    shown,
-    string,
-    whole_number,
-)
-from esfem_core.elements import SurfaceSpace
+from esfem_core.checks import iterable, output_path, string, whole_number
 from esfem_core.output.pictures import (
     Values,
     colour_range,
@@ -41,87 +27,7 @@ from esfem_core.output.viewer import LONGEST, Shot, load_viewer, viewer
 from esfem_core.stepping import State, check_state, known_space, write_whole
 from esfem_core.tables import Html
 
-__all__ = ["animate", "surface_animation"]
-
-IDENTIFIER = r"[\w-]+"
-
-
-def surface_animation(
-    space: SurfaceSpace,
-    states: Iterable[Any],
-    values: Callable[[Any], ArrayLike] | None = None,
-    *,
-    title: str = "",
-    label: str = "u",
-    div_id: str = "esfem-animation",
-    duration: int = 80,
-) -> Html:
-    """Show a run as a moving surface, coloured by a nodal function, with a time slider.
-
-    Each element is drawn as k² flat triangles between its nodes. The camera and the colour range
-    stay fixed in time. The picture plays once when it is first seen, unless the reader's system
-    asks for reduced motion; on paper it is three stills.
-
-    Parameters
-    ----------
-    space : SurfaceSpace
-    states : iterable
-        Objects with ``t`` and ``x``, (N, 3), as `evolve` yields them; one frame each, so thin them
-        out (40 frames of 1,000 nodes make about half a megabyte).
-    values : callable, optional
-        Takes a state and returns the (N,) nodal values that colour the surface; ``state.u`` if not
-        given.
-    title, label : str
-        Below the picture, and at its colour bar.
-    div_id : str
-        Identifier of the picture: different for each on a page.
-    duration : int
-        Milliseconds per frame, up to a minute.
-
-    Returns
-    -------
-    Html
-        With plotly's script inside, unless the environment variable ``ESFEM_PLOTLY_JS`` says where
-        the page finds it.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is no state, nodes or values have the wrong shape or are not finite, or `duration`
-        is not an integer from 1 to 60000.
-    ImportError
-        Without matplotlib or plotly.
-
-    Examples
-    --------
-    >>> import esfem_core as ec
-    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
-    >>> x = space.nodes
-    >>> states = [ec.State(t, (1 + t) * x, None, x[:, 2]) for t in (0.0, 0.5)]
-    >>> surface_animation(space, states, title="A growing sphere")
-    A growing sphere: 2 frames, t = 0 to 0.5
-    """
-    load_viewer()
-    object_of("space", space, SurfaceSpace)
-    string("title", title)
-    string("label", label)
-    if not re.fullmatch(IDENTIFIER, string("div_id", div_id)):
-        raise ValueError(f"div_id must be letters, digits, - and _, got {div_id!r}")
-    if values is not None:
-        function("values", values, "of a state, or None")
-    n, frames = len(space.nodes), []
-    # Each state is looked at when it comes: those after it may take long.
-    for i, s in enumerate(iterable("states", states, "States")):
-        if not hasattr(s, "x") or not hasattr(s, "t"):
-            raise TypeError(f"states[{i}] must have t and x, as a State has, got {shown(s)}")
-        if values is None and not ("u" in s.fields if isinstance(s, State) else hasattr(s, "u")):
-            raise TypeError(f"states[{i}] must have u, or values must be given, got {shown(s)}")
-        x = finite_array("x", s.x, (n, 3))
-        colours = finite_array("values", s.u if values is None else values(s), (n,))
-        frames.append(Shot(space, number(f"states[{i}].t", s.t), x, colours))
-    if not frames:
-        raise ValueError("states must hold at least one state, got none")
-    return viewer(frames, title, label, div_id, duration)
+__all__ = ["animate"]
 
 
 def animate(
@@ -136,12 +42,15 @@ def animate(
 ) -> Html | Path:
     """Show states as a moving surface, in a notebook, on a web page or as a film.
 
-    Camera and colours stay fixed in time; the space may change.
+    Camera and colours stay fixed in time; the space may change. The picture of a page plays once
+    when it is first seen, unless the reader's system asks for reduced motion; on paper it is three
+    stills.
 
     Parameters
     ----------
     states : iterable of State
-        One frame each, so thin out a run: ``itertools.islice(run, 0, None, 10)``.
+        One frame each, so thin out a run: ``itertools.islice(run, 0, None, 10)``. In a page, 40
+        frames of 1,000 nodes make about half a megabyte.
     path : path, optional
         If not given, the picture with its time slider for a notebook is returned. Otherwise a file:
         the same picture if it ends with ".html", a film if it ends with ".gif" or ".mp4".
@@ -157,7 +66,9 @@ def animate(
     Returns
     -------
     Html or Path
-        The picture, or the file. At any moment the old or the new file is there whole.
+        The picture, or the file. At any moment the old or the new file is there whole. A page has
+        plotly's script inside, unless the environment variable ``ESFEM_PLOTLY_JS`` says where it
+        finds it.
 
     Raises
     ------
@@ -211,8 +122,7 @@ def animate(
         raise ValueError("states must hold at least one State, got none")
     if file is not None and is_film:
         return _film(file, frames, title, label, limits, duration)
-    name = "esfem-animation" if file is None else re.sub(rf"(?!{IDENTIFIER}).", "-", file.stem)
-    page = viewer(frames, title, label, name, duration, limits)
+    page = viewer(frames, title, label, duration, limits)
     if file is None:
         return page
     text = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'

@@ -2,8 +2,8 @@
 // `esfem_core.output.viewer` has written: numbers are 16 bits each, evenly spaced in a range.
 (function (id, film) {
   "use strict";
-  // Pictures may have one id: it is the one around the script, or, where a notebook runs scripts
-  // elsewhere, the first that has none yet.
+  // A picture that is shown twice has one id: it is the one around the script, or, where a notebook
+  // runs scripts elsewhere, the first that has none yet.
   const running = document.currentScript;
   const figure = (running && running.closest(".esfem-animation")) ||
     [...document.querySelectorAll(".esfem-animation")].find((f) => f.id === id && !f.dataset.begun);

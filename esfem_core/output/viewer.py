@@ -13,6 +13,7 @@ import io
 import json
 import os
 from collections.abc import Sequence
+from hashlib import sha256
 from importlib import resources
 from typing import Any, NamedTuple
 
@@ -86,14 +87,14 @@ def viewer(
     shots: Sequence[Shot],
     title: str,
     label: str,
-    name: str,
     duration: int,
     limits: tuple[float, float] | None = None,
 ) -> Html:
     """Show frames as a moving surface with a play button and a time slider.
 
     Each element is drawn as k² flat triangles between its nodes. Positions and values have 16 bits
-    each, which is finer than a screen.
+    each, which is finer than a screen. The identifier of the picture is made of what it shows:
+    pictures that differ have different ones, which are the same whenever the page is built.
 
     Parameters
     ----------
@@ -101,8 +102,6 @@ def viewer(
         At least one.
     title, label : str
         Below the picture, and at its colour bar.
-    name : str
-        Identifier of the picture.
     duration : int
         Milliseconds per frame, up to a minute.
     limits : (float, float), optional
@@ -134,7 +133,8 @@ def viewer(
     }
     script = resources.files("esfem_core.output").joinpath("viewer.js").read_text("utf8")
     style = resources.files("esfem_core.output").joinpath("viewer.css").read_text("utf8")
-    identifier, says = html.escape(name), html.escape(_description(shots, label))
+    data, says = _json(film), html.escape(_description(shots, label))
+    identifier = f"esfem-{sha256((_json(title) + data).encode()).hexdigest()[:12]}"
     caption = f"{html.escape(title)} <small>{says}</small>" if title else says
     text = (
         f'<figure class="esfem-animation" id="{identifier}"><style>{style}</style>'
@@ -145,7 +145,7 @@ def viewer(
         '<button type="button">play</button>'
         '<input type="range" min="0" max="1" value="0" step="1" aria-label="time">'
         f"<output></output></div><figcaption>{caption}</figcaption>"
-        f"<script>{script.strip()}({_json(name)}, {_json(film)});</script></figure>"
+        f"<script>{script.strip()}({_json(identifier)}, {data});</script></figure>"
     )
     return Html(text, f"{title or 'animation'}: {len(times)} frames, t = {times[0]} to {times[-1]}")
 

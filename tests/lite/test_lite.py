@@ -190,7 +190,7 @@ def test_a_chapter_runs_to_its_end(chapter, reader):
     ] == []
     assert reader.bytes / 1e6 == pytest.approx(said, rel=0.1)
     figures = reader.tab.locator(".esfem-animation")
-    drawing = re.compile(r"^(surface_animation|ec\.animate)\(", re.M)
+    drawing = re.compile(r"^ec\.animate\(", re.M)
     assert figures.count() == sum(len(drawing.findall(c["source"])) for c in cells)
     for figure in figures.all():
         reader.come_near(figure)

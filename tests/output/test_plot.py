@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d import art3d
 from PIL import Image
 
 import esfem_core as ec
-from esfem_core.output import style, surface_animation
+from esfem_core.output import style
 from esfem_core.output.curved import refined
 
 
@@ -180,6 +180,8 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
     for arguments, error, message in [
         (([],), ValueError, "states must hold at least one"),
         (([given, 1],), TypeError, r"states\[1\] must be a State, got 1"),
+        (([given], None, lambda s: s.x), ValueError, r"must have shape \(66,\), got \(66, 3\)"),
+        (([given], None, lambda s: np.full(66, np.nan)), ValueError, r"but values\[0\] is nan"),
         (([given], tmp_path / "film.avi"), ValueError, r'"\.html" or "\.gif" or "\.mp4", got'),
         (([given], tmp_path / "none" / "film.gif"), FileNotFoundError, "does not exist"),
     ]:
@@ -239,9 +241,6 @@ def test_animate_refuses_before_a_run_has_gone_on(tmp_path, monkeypatch):
         with pytest.raises(error):
             ec.animate(run(), **options)
         assert len(seen) == most
-    with pytest.raises(ValueError, match="values must"):
-        surface_animation(state().space, run(), lambda s: np.ones(3))
-    assert len(seen) == 2
 
 
 def test_a_film_that_is_interrupted_leaves_the_older_one(tmp_path, monkeypatch):
@@ -266,15 +265,13 @@ def test_without_matplotlib_or_plotly_the_message_says_what_to_install(tmp_path,
         "plot": lambda: ec.plot(given),
         "page": lambda: ec.animate(run()),
         "film": lambda: ec.animate(run(), film),
-        "any states": lambda: surface_animation(given.space, run()),
         "style": style,
     }
     monkeypatch.delenv("ESFEM_PLOTLY_JS", raising=False)
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "plotly", None)
-        for name in ("page", "any states"):
-            with pytest.raises(ImportError, match=r'need Plotly: pip install "esfem-core\[pic.*]'):
-                shows[name]()
+        with pytest.raises(ImportError, match=r'need Plotly: pip install "esfem-core\[pic.*]'):
+            shows["page"]()
         ec.animate([given], film)
         without.setenv("ESFEM_PLOTLY_JS", "plotly.js")
         assert "<figure" in ec.animate([given]).text

@@ -3,7 +3,7 @@
 import base64
 import io
 import json
-from types import SimpleNamespace
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from PIL import Image
 
 import esfem_core as ec
 from esfem_core.elements import flat_triangles, node_indices
-from esfem_core.output import COLOURS, MARKERS, convergence_plot, surface_animation
+from esfem_core.output import COLOURS, MARKERS, convergence_plot
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5, 6])
@@ -31,15 +31,15 @@ def test_flat_triangles_tile_the_element_with_its_orientation(degree):
 def run():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), degree=2, project=ec.to_unit_sphere)
     x = space.nodes
-    return space, [SimpleNamespace(t=t, x=(1 + t) * x, u=x[:, 0]) for t in (0.0, 0.5, 1.0)]
+    return [ec.State(t, (1 + t) * x, None, x[:, 0], space=space) for t in (0.0, 0.5, 1.0)]
 
 
 def test_animation_names_its_picture_its_script_and_its_times(run, monkeypatch):
-    space, states = run
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "../_static/plotly.js")
-    shown = surface_animation(space, states, title="a < b", div_id="here")
+    shown = ec.animate(run, title="a < b")
     text = shown._repr_html_()
-    assert 'id="here"' in text
+    page = BeautifulSoup(text, "html.parser")
+    assert page.script.string.rpartition("})(")[2].startswith(f'"{page.figure["id"]}", {{')
     assert '"plotly":"../_static/plotly.js"' in text
     assert "a &lt; b" in text
     assert '"times":["0","0.5","1"]' in text
@@ -47,43 +47,50 @@ def test_animation_names_its_picture_its_script_and_its_times(run, monkeypatch):
         "From t = 0 to 1: the surface measures 2 × 2 × 2 at first and 4 × 4 × 4 in the end; "
         "u lies between -1 and 1 all the time."
     ) in text
-    assert text == surface_animation(space, states, title="a < b", div_id="here").text
+    assert text == ec.animate(run, title="a < b").text
     assert repr(shown) == "a < b: 3 frames, t = 0 to 1"
 
 
+def test_pictures_that_differ_have_different_identifiers(run, monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    pictures = [ec.animate(run), ec.animate(run, title="a"), ec.animate(run, values=run[0].x[:, 1])]
+    names = [re.search('<figure class="esfem-animation" id="(.*?)">', p.text)[1] for p in pictures]
+    assert len(set(names)) == 3
+    assert all(re.fullmatch("esfem-[0-9a-f]{12}", name) for name in names)
+
+
 def test_a_description_tells_what_goes_and_comes_back(run, monkeypatch):
-    space, _ = run
+    space = run[0].space
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     sizes = [(0.0, 1.0), (0.25, 1.2), (0.5, 1.5), (0.75, 1.2), (1.0, 1.0)]
-    states = [SimpleNamespace(t=t, x=r * space.nodes, u=r * space.nodes[:, 0]) for t, r in sizes]
+    x = space.nodes
+    states = [ec.State(t, r * x, None, r * x[:, 0], space=space) for t, r in sizes]
     assert (
         "the surface measures 2 × 2 × 2 at first and in the end, and 3 × 3 × 3 at t = 0.5; "
         "u lies between -1 and 1 at first and in the end, and between -1.5 and 1.5 at t = 0.5."
-    ) in surface_animation(space, states).text
+    ) in ec.animate(states).text
     assert "the surface measures 2 × 2 × 2 all the time; u lies between -1 and 1 all the time." in (
-        surface_animation(space, states[::4]).text
+        ec.animate(states[::4]).text
     )
 
 
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
-    space, states = run
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
-    text = surface_animation(space, states, div_id="here").text
+    text = ec.animate(run).text
     _, film = json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")
-    for state, columns in zip(states, film["frames"], strict=True):
+    for state, columns in zip(run, film["frames"], strict=True):
         whole = [np.frombuffer(base64.b64decode(c), "<u2") for c in columns]
         for values, n, (low, high) in zip(
             [*state.x.T, state.u], whole, film["ranges"], strict=True
         ):
             assert abs(low + n * (high - low) / 65535 - values).max() <= (high - low) / 65535
     corners = [np.frombuffer(base64.b64decode(c), "<u4") for c in film["triangles"][0]]
-    assert (flat_triangles(space.cells, 2) == np.array(corners).T).all()
+    assert (flat_triangles(run[0].space.cells, 2) == np.array(corners).T).all()
 
 
 def test_animation_has_controls_of_the_browser_and_stills_for_paper(run, monkeypatch):
-    space, states = run
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
-    page = BeautifulSoup(surface_animation(space, states, div_id="here").text, "html.parser")
+    page = BeautifulSoup(ec.animate(run).text, "html.parser")
     assert page.button.text == "play"
     assert page.find("input", type="range")["aria-label"] == "time"
     assert page.select_one("[role=img]")["aria-label"].startswith("From t = 0 to 1")
@@ -94,32 +101,10 @@ def test_animation_has_controls_of_the_browser_and_stills_for_paper(run, monkeyp
 
 
 def test_animation_carries_its_script_where_no_page_has_one(run, monkeypatch):
-    space, states = run
     monkeypatch.delenv("ESFEM_PLOTLY_JS", raising=False)
-    text = surface_animation(space, states, values=lambda s: s.x[:, 2]).text
+    text = ec.animate(run, values=lambda s: s.x[:, 2]).text
     assert "src=" not in text.split("<script")[1].split(">")[0]
     assert len(text) > 1_000_000
-
-
-def test_animation_refuses_what_it_cannot_draw(run):
-    space, states = run
-    with pytest.raises(ValueError, match="states must hold at least one"):
-        surface_animation(space, [])
-    with pytest.raises(ValueError, match=r"values must have shape \(66,\), got \(66, 3\)"):
-        surface_animation(space, states, values=lambda s: s.x)
-    with pytest.raises(ValueError, match=r"x must have shape \(66, 3\), got \(1, 3\)"):
-        surface_animation(space, [SimpleNamespace(t=0.0, x=np.ones((1, 3)), u=np.ones(66))])
-    with pytest.raises(ValueError, match=r"values must be finite, but values\[0\] is nan"):
-        surface_animation(space, states, values=lambda s: np.full(66, np.nan))
-    with pytest.raises(ValueError, match="duration must be an integer from 1 to 60000, got 0"):
-        surface_animation(space, states, duration=0)
-    with pytest.raises(ValueError, match=r"states\[0\]\.t must be a finite number, got nan"):
-        surface_animation(space, [SimpleNamespace(t=np.nan, x=space.nodes, u=space.nodes[:, 0])])
-    other = [ec.State(0.0, space.nodes, fields={"a": np.ones(66), "b": np.ones(66)})]
-    with pytest.raises(TypeError, match=r"states\[0\] must have u, or values .*fields: a, b"):
-        surface_animation(space, other)
-    with pytest.raises(TypeError, match=r"states\[0\] must have u, or values must be given"):
-        surface_animation(space, [SimpleNamespace(t=0.0, x=space.nodes)])
 
 
 def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
