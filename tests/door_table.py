@@ -481,8 +481,6 @@ def doors() -> list[Door]:
              {"space": one(space), "x": array(x), "v": array(x)}),
         Door("forms.lift", ec.forms.lift,
              {"space": one(space), "x": array(x), "surface": one(ec.exact_surfaces.Sphere())}),
-        Door("forms.gradient_load", ec.forms.gradient_load,
-             {"space": one(space), "x": array(x), "field": array(np.ones((T, Q, 3)))}),
         Door("forms.relative_norm", ec.forms.relative_norm,
              {"form": one(M), "norm": one(K), "seminorm": flag(False)}),
         Door("dual_norm", ec.defects.dual_norm, {"K": one(K), "functional": array(u, after=True)}),

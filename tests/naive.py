@@ -1,10 +1,14 @@
-"""Element-by-element assembly as written in [N] 7.2, slow and obvious: a second way to compute.
+"""Assembly that is slow and obvious: a second way to compute.
 
-The differential of the element map is the 3 x 3 matrix whose third column is the unit normal.
-Shares only the quadrature rule with the package: its basis comes from a Vandermonde matrix.
+`mass_stiffness` goes element by element as written in [N] 7.2: the differential of the element map
+is the 3 x 3 matrix whose third column is the unit normal. It shares only the quadrature rule with
+the package: its basis comes from a Vandermonde matrix. Those with weights take the basis and its
+gradients from the package, and sum products.
 """
 
 import numpy as np
+
+from esfem_core.elements import tabulate
 
 
 def monomials(degree, points):
@@ -46,3 +50,33 @@ def mass_stiffness(space, x):
             M[np.ix_(cell, cell)] += dA * np.outer(phi[q], phi[q])
             A[np.ix_(cell, cell)] += dA * gradients.T @ gradients
     return M, A
+
+
+def weighted_mass(space, x, weight):
+    """Dense mass matrix with a weight (T, Q)."""
+    phi = tabulate(space.degree, space.rule.points).values
+    density = weight * space.density(x) * space.rule.weights
+    return _summed(space, np.einsum("tq,qa,qb->tab", density, phi, phi))
+
+
+def weighted_stiffness(space, x, tensor):
+    """Dense stiffness matrix with a tensor (T, Q, 3, 3)."""
+    gradients, density = space.basis_gradients(x), space.density(x) * space.rule.weights
+    return _summed(
+        space,
+        np.einsum("tq,tqai,tqij,tqbj->tab", density, gradients, tensor, gradients, optimize=True),
+    )
+
+
+def gradient_load(space, x, field):
+    """Integrals of a field (T, Q, 3) and the gradients of the basis functions."""
+    gradients, density = space.basis_gradients(x), space.density(x) * space.rule.weights
+    entries = np.einsum("tq,tqi,tqai->ta", density, field, gradients)
+    return np.bincount(space.cells.ravel(), entries.ravel(), len(x))
+
+
+def _summed(space, entries):
+    """The matrix of element matrices (T, n, n)."""
+    matrix = np.zeros((len(space.nodes), len(space.nodes)))
+    np.add.at(matrix, (space.cells[:, :, None], space.cells[:, None, :]), entries)
+    return matrix

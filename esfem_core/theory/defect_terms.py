@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from esfem_core.checks import Array, finite_array, function, number, object_of, whole_number
-from esfem_core.elements import SurfaceSpace
+from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.laws import Regularised
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping import bdf, exact_state
@@ -24,7 +24,7 @@ from esfem_core.theory.defects import (
     source_load,
     stretching,
 )
-from esfem_core.theory.forms import divergence, gradient_load, lift, stiffness
+from esfem_core.theory.forms import divergence, lift, stiffness
 
 __all__ = ["Field", "spatial_terms_u", "temporal_terms_u", "temporal_terms_v"]
 
@@ -223,10 +223,10 @@ def spatial_terms_u(
     def m(values: Array) -> Array:
         return space.load(x, values)
 
-    pulled = np.swapaxes(onto.gradient, -1, -2)
+    at, pulled = Surface(space, x), np.swapaxes(onto.gradient, -1, -2)
 
     def a(gradient: Array) -> Array:
-        return gradient_load(space, x, ratio[..., None] * (pulled @ gradient[..., None])[..., 0])
+        return at.load(None, ratio[..., None] * (pulled @ gradient[..., None])[..., 0])
 
     A, A_lift = space.mass_stiffness(x)[1], stiffness(space, x, onto.tensor)
     exact, f = exact_u(y, t), finite_array("field.f(x, t)", field.f(y, t), ratio.shape)

@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from esfem_core.checks import Array, finite_array, flag, object_of, shown
-from esfem_core.elements import SurfaceSpace, tabulate
+from esfem_core.elements import Surface, SurfaceSpace, check_tensors
 from esfem_core.errors import square_matrix
 from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
 
@@ -34,7 +34,6 @@ __all__ = [
     "check_symmetric",
     "deformation",
     "divergence",
-    "gradient_load",
     "lift",
     "mass",
     "mass_rate",
@@ -80,13 +79,10 @@ def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_
     >>> print(f"{M.sum() / (4 * np.pi / 3):.3f}")
     1.000
     """
-    object_of("space", space, SurfaceSpace)
-    phi = tabulate(space.degree, space.rule.points).values
-    density = space.density(x) * space.rule.weights
-    if weight is not None:
-        density = density * finite_array("weight", weight, density.shape)
-    products = (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
-    return _assemble(space, density @ products)
+    at = Surface(space, x)
+    if weight is None:
+        return space.mass(x)
+    return at.matrix(finite_array("weight", weight, at.density.shape))
 
 
 def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) -> csr_array:
@@ -102,30 +98,25 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) ->
     x : (N, 3) float array
         Node positions.
     tensor : (T, Q, 3, 3) float array, optional
-        At the quadrature points; the identity, which gives the stiffness matrix of a, if None.
+        Symmetric, at the quadrature points; the identity, which gives the stiffness matrix of a,
+        if None.
         With ``lift(space, x, surface).tensor`` it is the matrix of a on the exact surface.
 
     Returns
     -------
     (N, N) CSR array
-        Symmetric if the tensors are.
 
     Raises
     ------
     ValueError
-        If an argument has the wrong shape or is not finite.
+        If an argument has the wrong shape or is not finite, or a tensor is not symmetric.
     """
-    object_of("space", space, SurfaceSpace)
-    gradients = space.basis_gradients(x)
-    fluxes = gradients
-    if tensor is not None:
-        tensor = finite_array("tensor", tensor, (*gradients.shape[:2], 3, 3))
-        fluxes = gradients @ np.swapaxes(tensor, 2, 3)
-    density = space.density(x) * space.rule.weights
-    T, Q, n, _ = gradients.shape
-    left = (gradients * density[..., None, None]).transpose(0, 2, 1, 3).reshape(T, n, 3 * Q)
-    right = fluxes.transpose(0, 2, 1, 3).reshape(T, n, 3 * Q)
-    return _assemble(space, left @ right.transpose(0, 2, 1))
+    at = Surface(space, x)
+    if tensor is None:
+        return space.mass_stiffness(x)[1]
+    tensor = finite_array("tensor", tensor, (*at.density.shape, 3, 3))
+    check_tensors("tensor", tensor)
+    return at.matrix(stiffness=tensor)
 
 
 def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
@@ -343,36 +334,6 @@ def _near(surface: ExactSurface, points: Array) -> Near:
     return near
 
 
-def gradient_load(space: SurfaceSpace, x: Array, field: ArrayLike) -> Array:
-    r"""Load vector of a field and the gradients of the basis functions, by quadrature.
-
-    .. math:: b_j = \int_{\Gamma_h[x]} \text{field} \cdot \nabla\varphi_j
-
-    Parameters
-    ----------
-    space : SurfaceSpace
-    x : (N, 3) float array
-    field : (T, Q, 3) float array
-        Vector field at the quadrature points. On the exact surface, a(u, phi_j^l) has the field
-        ``ratio * gradient^T (grad u)(points)`` of the :class:`Lift`.
-
-    Returns
-    -------
-    (N,) float array
-
-    Raises
-    ------
-    ValueError
-        If an argument has the wrong shape or is not finite.
-    """
-    object_of("space", space, SurfaceSpace)
-    density = space.density(x) * space.rule.weights
-    weighted = finite_array("field", field, (*density.shape, 3)) * density[..., None]
-    entries = np.einsum("tqi,tqai->ta", weighted, space.basis_gradients(x))
-    load: Array = np.bincount(space.cells.ravel(), entries.ravel(), len(space.nodes)).astype(float)
-    return load
-
-
 def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> float:
     r"""Smallest c with ``|w^T form z| <= c |w| |z|`` for all w and z.
 
@@ -502,12 +463,3 @@ def check_definite(name: str, matrix: csr_array) -> None:
             f"{name} must be positive definite, but has the pivot {least:.3g}, relative to its "
             "diagonal"
         )
-
-
-def _assemble(space: SurfaceSpace, entries: Array) -> csr_array:
-    """Sum element matrices (T, n, n) into a CSR matrix."""
-    n = space.cells.shape[1]
-    rows, columns = np.repeat(space.cells, n, axis=1), np.tile(space.cells, n)
-    N = len(space.nodes)
-    matrix = coo_array((entries.ravel(), (rows.ravel(), columns.ravel())), shape=(N, N))
-    return csr_array(matrix)
