@@ -37,7 +37,6 @@ __all__ = [
     "provenance",
     "read",
     "renew",
-    "run",
     "select",
     "stored",
 ]
@@ -219,39 +218,6 @@ def _duration(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"
     return f"{seconds:.1f} s"
-
-
-def run(
-    experiments: Sequence[Experiment], folder: str | Path, jobs: int | None = None
-) -> Iterator[tuple[Experiment, Row | Exception | None, int]]:
-    """Compute all cases that are not yet in the files of a folder, whatever code has made those.
-
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-    folder : path
-        Is made if missing; ``<name>.jsonl`` in it receives the rows of each experiment.
-    jobs : int, optional
-        Number of processes; one for each core if None.
-
-    Yields
-    ------
-    experiment : Experiment
-    outcome : Row, exception or None
-        The case just finished, or what ended its chain, or None for a case found in the file.
-    cases : int
-        How many cases this settles.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If jobs is no positive integer; at once, not when the first outcome is asked for.
-    OSError
-        If the folder cannot be made.
-    """
-    jobs = None if jobs is None else whole_number("jobs", jobs, 1)
-    coming = outcomes(experiments, folder, workers=jobs)
-    return ((o.experiment, None if o.found else o.row or o.error, o.cases) for o in coming)
 
 
 def renew(

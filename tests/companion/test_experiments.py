@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from esfem_core.companion import campaign
-from esfem_core.companion.experiments import EXPERIMENTS
+from esfem_core.companion.experiments import EXPERIMENTS, __main__
 from esfem_core.companion.experiments.__main__ import main
 
 BOOK = Path(__file__).parents[2] / "book"
@@ -95,7 +95,12 @@ def test_stale_cases_are_counted_renewed_and_their_changes_listed(tmp_path, caps
 
 def test_an_experiment_named_twice_runs_once(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr(campaign, "run", lambda names, *_: asked.extend(names) or iter(()))
+
+    def nothing(experiments, folder, workers):
+        asked.extend(experiments)
+        yield from ()
+
+    monkeypatch.setattr(__main__, "outcomes", nothing)
     assert main(["nick_table", "lmv_run_times", "nick_table", "--folder", str(tmp_path)]) == 0
     assert [experiment.name for experiment in asked] == ["nick_table", "lmv_run_times"]
 

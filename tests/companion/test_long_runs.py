@@ -6,6 +6,7 @@ import pytest
 
 from esfem_core.companion import campaign
 from esfem_core.companion.campaign import Experiment
+from esfem_core.study import outcomes
 from esfem_core.study.user_code import code_of
 
 
@@ -25,9 +26,9 @@ def settled(before, after):
 
 def test_a_failing_case_ends_its_chain_and_no_other(tmp_path):
     experiment = Experiment("demo", "", compute, chains())
-    outcomes = list(campaign.run([experiment], tmp_path, jobs=2))
-    assert sum(cases for *_, cases in outcomes) == 10
-    assert [str(o) for _, o, _ in outcomes if isinstance(o, Exception)] == ["no convergence"]
+    found = list(outcomes([experiment], tmp_path, workers=2))
+    assert sum(outcome.cases for outcome in found) == 10
+    assert [str(outcome.error) for outcome in found if outcome.error] == ["no convergence"]
     rows = campaign.read(tmp_path / "demo.jsonl")
     assert len(campaign.select(rows, order=1)) == 5
     assert len(campaign.select(rows, order=2)) == 3
@@ -37,19 +38,19 @@ def test_a_failing_case_ends_its_chain_and_no_other(tmp_path):
 
 def test_a_chain_ends_when_it_is_enough(tmp_path):
     experiment = Experiment("demo", "", compute, chains([1]), settled)
-    first = list(campaign.run([experiment], tmp_path, jobs=1))
+    first = list(outcomes([experiment], tmp_path, workers=1))
     steps = [row.parameters["step"] for row in campaign.read(tmp_path / "demo.jsonl")]
     assert steps == [1, 0.5]  # 1.1 and 0.6: less than half is gained
-    assert sum(cases for *_, cases in first) == 5
-    again = list(campaign.run([experiment], tmp_path, jobs=1))
-    assert [outcome for _, outcome, _ in again] == [None, None]
-    assert sum(cases for *_, cases in again) == 5
+    assert sum(outcome.cases for outcome in first) == 5
+    again = list(outcomes([experiment], tmp_path, workers=1))
+    assert [outcome.found for outcome in again] == [True, True]
+    assert sum(outcome.cases for outcome in again) == 5
     assert len(campaign.read(tmp_path / "demo.jsonl")) == 2
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
     experiment = Experiment("demo", "", compute, chains([1]))
-    for count, _ in enumerate(campaign.run([experiment], tmp_path, jobs=1)):
+    for count, _ in enumerate(outcomes([experiment], tmp_path, workers=1)):
         if count == 1:
             break
     path = tmp_path / "demo.jsonl"
@@ -57,10 +58,8 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
         file.write('{"parameters": {"ord')  # cut off in the middle of a line
     stored = len(campaign.read(path))
     assert stored >= 2
-    outcomes = list(campaign.run([experiment], tmp_path, jobs=1))
-    assert [outcome is None for _, outcome, _ in outcomes] == [True] * stored + [False] * (
-        5 - stored
-    )
+    again = [outcome.found for outcome in outcomes([experiment], tmp_path, workers=1)]
+    assert again == [True] * stored + [False] * (5 - stored)
     assert [json.loads(line)["parameters"]["step"] for line in path.read_text().splitlines()] == [
         row["step"] for row in chains([1])[0]
     ]
@@ -82,8 +81,8 @@ def test_only_what_other_code_has_made_is_computed_again_and_in_its_place(tmp_pa
     first = stored(path, [1, 0.5], "older")
     second = stored(path, [0.25], here)
     assert [campaign.is_current(experiment, row) for row in first + second] == [False, False, True]
-    outcomes = list(campaign.renew([experiment], tmp_path, jobs=1))
-    assert [old for _, old, _ in outcomes] == first
+    renewed = list(campaign.renew([experiment], tmp_path, jobs=1))
+    assert [old for _, old, _ in renewed] == first
     rows = campaign.read(path)
     assert [row.parameters["step"] for row in rows] == [1, 0.5, 0.25]
     assert [row.results["error"] for row in rows] == [1.1, 0.6, 7.0]
@@ -138,8 +137,6 @@ def test_changes_are_numbers_that_differ_by_more_than_a_percent(old, new, found)
 
 def test_jobs_and_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ValueError, match="jobs must be an integer >= 1, got 0"):
-        campaign.run([], tmp_path, jobs=0)
-    with pytest.raises(ValueError, match="jobs must be an integer >= 1, got 0"):
         campaign.renew([], tmp_path, jobs=0)
     path = tmp_path / "demo.jsonl"
     path.write_text("no json\n{}\n")
@@ -166,7 +163,7 @@ def test_rows_without_what_is_asked_for_are_named():
 
 def test_provenance_names_every_machine(tmp_path):
     experiment = Experiment("demo", "", compute, chains([1]))
-    list(campaign.run([experiment], tmp_path, jobs=1))
+    list(outcomes([experiment], tmp_path, workers=1))
     rows = campaign.read(tmp_path / "demo.jsonl")
     other = campaign.Row({}, {}, {**rows[0].provenance, "machine": "A counting frame"})
     text = campaign.provenance([*rows, other])

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -10,6 +11,7 @@ from tqdm import tqdm
 from esfem_core.checks import whole_number
 from esfem_core.companion import campaign
 from esfem_core.companion.experiments import EXPERIMENTS
+from esfem_core.study import outcomes
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -22,15 +24,14 @@ def _run(options: argparse.Namespace) -> int:
     """Compute what is missing; 1 if a case failed."""
     total = sum(len(chain) for experiment in options.experiments for chain in experiment.chains)
     failures = 0
-    with tqdm(total=total, unit="case") as bar:
-        for experiment, outcome, cases in campaign.run(
-            options.experiments, options.folder, options.jobs
-        ):
-            if isinstance(outcome, Exception):
+    coming = outcomes(options.experiments, options.folder, workers=options.jobs)
+    with closing(coming), tqdm(total=total, unit="case") as bar:
+        for o in coming:
+            if o.error:
                 failures += 1
-                bar.write(f"{experiment.name}: {type(outcome).__name__}: {outcome}")
-            bar.set_description(experiment.name)
-            bar.update(cases)
+                bar.write(f"{o.experiment.name}: {type(o.error).__name__}: {o.error}")
+            bar.set_description(o.experiment.name)
+            bar.update(o.cases)
     if stale := _count_stale(options):
         print(f"{stale} stored cases were computed by other code: --stale computes them again")
     return min(failures, 1)
