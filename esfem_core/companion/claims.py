@@ -22,6 +22,7 @@ from typing import Any, Literal
 
 from esfem_core.checks import iterable, number, one_of, shown, string
 from esfem_core.companion.checking import STRICT
+from esfem_core.tables import html_table
 
 __all__ = [
     "CONFIRMED",
@@ -113,6 +114,16 @@ class Measurement:
             parts.append(f"= {self.equals:.10g}" + (f" ± {self.tol:.1g}" if self.tol else ""))
         return " and ".join(parts)
 
+    def __str__(self) -> str:
+        """The number, its bounds, and whether it keeps them.
+
+        Examples
+        --------
+        >>> print(measure("rate", 2.97, at_least=2.8))
+        rate = 2.97 (≥ 2.8) ✓
+        """
+        return f"{self.name} = {self.value:.4g} ({self.expected}) {'✓' if self.holds else '✗'}"
+
 
 @dataclass(frozen=True, repr=False)
 class Claim:
@@ -181,28 +192,23 @@ class Claim:
 
     def __repr__(self) -> str:
         lines = [f"{_sign(self.verdict)} {self.id}: {self.verdict}"]
-        lines += [
-            f"  {form}: {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
-            for form, m in self.lines()
-        ]
+        lines += [f"  {form}: {m}" for form, m in self.lines()]
         return "\n".join([*lines, f"  {self.note}"] if self.note else lines)
 
     def _repr_html_(self) -> str:
         verdict = self.verdict.replace(" ", "-")
-        rows = "".join(
-            f"<tr><td>{html.escape(m.name)}</td><td>{form}</td><td>{m.value:.4g}</td>"
-            f"<td>{html.escape(m.expected)}</td><td>{'✓ holds' if m.holds else '✗ fails'}</td></tr>"
+        rows = (
+            [m.name, form, f"{m.value:.4g}", m.expected, "✓ holds" if m.holds else "✗ fails"]
             for form, m in self.lines()
         )
+        table = html_table(["measured", "form", "value", "must be", "result"], rows).text
         note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
         return (
             f'<div class="esfem-claim esfem-{verdict}" id="check-{html.escape(anchor(self.id))}" '
             f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
             f'<p><span class="esfem-verdict">{_sign(self.verdict)} {self.verdict}</span> '
             f'claim <a href="ledger.html#claim-{anchor(self.id)}">{html.escape(self.id)}</a></p>'
-            '<div class="esfem-table"><table><thead><tr>'
-            "<th>measured</th><th>form</th><th>value</th><th>must be</th><th>result</th>"
-            f"</tr></thead><tbody>{rows}</tbody></table></div>{note}</div>"
+            f"{table}{note}</div>"
         )
 
 
@@ -233,13 +239,13 @@ def measure(
 
     Parameters
     ----------
-    name
+    name : str
         What was measured, in a few words.
-    value
+    value : float or str
         The number. NaN and infinity are accepted and never hold.
-    at_least, at_most
+    at_least, at_most : float, optional
         Bounds; the interval is closed.
-    equals, tol
+    equals, tol : float, optional
         A target and the largest absolute distance allowed from it (0 if not given).
 
     Raises
@@ -437,10 +443,7 @@ def _fault(found: Claim) -> str:
 
 
 def _measured(found: Claim) -> list[str]:
-    return [
-        f"  {m.name} = {m.value:.4g} ({m.expected}) {'✓' if m.holds else '✗'}"
-        for m in (*found.as_printed, *found.corrected)
-    ]
+    return [f"  {m}" for m in (*found.as_printed, *found.corrected)]
 
 
 @cache
