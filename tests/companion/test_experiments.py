@@ -76,6 +76,22 @@ def test_the_help_names_every_experiment_and_the_folder_where_the_book_reads(cap
     assert re.sub(r"\s", "", str(campaign.DATA)) in re.sub(r"\s", "", text)
 
 
+def test_commands_of_the_pages_compute_something_in_a_folder_of_their_own():
+    """Beside the results that the package has, only what is missing is computed: nothing."""
+    pattern = r"python -m esfem_core\.companion\.experiments ([a-z][^`]*)`"
+    printed = [
+        (path.stem, command)
+        for path in [*BOOK.glob("*.ipynb"), *BOOK.glob("*.md"), BOOK.parent / "README.md"]
+        for command in re.findall(pattern, path.read_text("utf8"))
+    ]
+    assert len(printed) >= 3
+    for page, command in printed:
+        *names, option, folder = command.split()
+        assert option == "--folder", page
+        assert folder, page
+        assert set(names) <= set(BY_NAME), page
+
+
 def test_stale_cases_are_counted_renewed_and_their_changes_listed(tmp_path, capsys):
     row = STORED["nick_theorem"][0]
     by_other_code = row.provenance | {"esfem_core": "0.1.0, source 000000000000"}
