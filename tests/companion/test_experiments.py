@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from esfem_core.companion import campaign
 from esfem_core.companion.experiments import EXPERIMENTS, __main__
 from esfem_core.companion.experiments.__main__ import main
+from esfem_core.study import Outcome
 
 BOOK = Path(__file__).parents[2] / "book"
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
@@ -119,6 +121,26 @@ def test_an_experiment_named_twice_runs_once(tmp_path, monkeypatch):
     monkeypatch.setattr(__main__, "outcomes", nothing)
     assert main(["nick_table", "lmv_run_times", "nick_table", "--folder", str(tmp_path)]) == 0
     assert [experiment.name for experiment in asked] == ["nick_table", "lmv_run_times"]
+
+
+def test_without_a_bar_there_are_lines_and_what_is_stored_already_is_told(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    path = BY_NAME["lmv_run_times"].path(tmp_path)
+    path.write_bytes(BY_NAME["lmv_run_times"].path(campaign.DATA).read_bytes())
+    assert main(["lmv_run_times", "--folder", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert err == "1/1 lmv_run_times\n"
+    assert out.startswith(f"all is stored in {tmp_path} already: another --folder computes it anew")
+
+    row = STORED["lmv_run_times"][0]
+    chain = [BY_NAME["lmv_run_times"], row.parameters, None, ValueError("no"), False, 1]
+    monkeypatch.setattr(__main__, "outcomes", lambda *_, **__: (Outcome(*chain) for _ in "a"))
+    assert main(["lmv_run_times", "--folder", str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    assert out.startswith("lmv_run_times: ValueError: no\n")
+    assert "already" not in out
 
 
 @pytest.mark.parametrize("path", sorted(BOOK.glob("*.ipynb")), ids=lambda path: path.stem)

@@ -2,11 +2,11 @@
 
 import argparse
 import json
-from contextlib import closing
+import sys
+from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryFile
-
-from tqdm import tqdm
+from typing import Any
 
 from esfem_core.checks import whole_number
 from esfem_core.companion import campaign
@@ -23,15 +23,18 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     """Compute what is missing; 1 if a case failed."""
     total = sum(len(chain) for experiment in options.experiments for chain in experiment.chains)
-    failures = 0
+    failures, found = 0, 0
     coming = outcomes(options.experiments, options.folder, workers=options.jobs)
-    with closing(coming), tqdm(total=total, unit="case") as bar:
+    with closing(coming), _progress(total) as bar:
         for o in coming:
             if o.error:
                 failures += 1
                 bar.write(f"{o.experiment.name}: {type(o.error).__name__}: {o.error}")
+            found += o.found
             bar.set_description(o.experiment.name)
             bar.update(o.cases)
+    if found == total:
+        print(f"all is stored in {options.folder} already: another --folder computes it anew")
     if stale := _count_stale(options):
         print(f"{stale} stored cases were computed by other code: --stale computes them again")
     return min(failures, 1)
@@ -40,7 +43,7 @@ def _run(options: argparse.Namespace) -> int:
 def _renew(options: argparse.Namespace) -> int:
     """Compute again what other code has computed, and list what came out differently."""
     failures = 0
-    with tqdm(total=_count_stale(options), unit="case") as bar:
+    with _progress(_count_stale(options)) as bar:
         for experiment, old, outcome in campaign.renew(
             options.experiments, options.folder, options.jobs
         ):
@@ -54,6 +57,32 @@ def _renew(options: argparse.Namespace) -> int:
             bar.set_description(experiment.name)
             bar.update()
     return min(failures, 1)
+
+
+def _progress(total: int) -> Any:
+    """The bar of tqdm, or lines where there is none: it is no dependency of the solver."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return nullcontext(_Lines(total))
+    return tqdm(total=total, unit="case")
+
+
+class _Lines:
+    """What `_run` and `_renew` ask of a bar, in a line for each outcome."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.done, self.name = total, 0, ""
+
+    def write(self, text: str) -> None:
+        print(text, flush=True)
+
+    def set_description(self, name: str) -> None:
+        self.name = name
+
+    def update(self, cases: int = 1) -> None:
+        self.done += cases
+        print(f"{self.done}/{self.total} {self.name}", file=sys.stderr, flush=True)
 
 
 def _count_stale(options: argparse.Namespace) -> int:
