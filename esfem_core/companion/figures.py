@@ -13,7 +13,7 @@ import numpy as np
 
 from esfem_core.companion.campaign import convergence, origin
 from esfem_core.companion.regimes import curve
-from esfem_core.output import COLOURS, MARKERS, convergence_plot
+from esfem_core.output import COLOURS, MARKERS, convergence_plot, load_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,7 +161,8 @@ def four_panels(
     >>> [ax.get_title() for ax in figure.axes][:2]
     ['Figure 2: $x$, $L^2$', 'Figure 4: $u$, $L^2$']
     """
-    import matplotlib.pyplot as plt
+    load_matplotlib()
+    from matplotlib import pyplot as plt
 
     fig, axes = plt.subplots(2, 2, figsize=(10, 7.6), sharey="row", constrained_layout=True)
     data = convergence(rows, size)

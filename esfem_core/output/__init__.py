@@ -2,7 +2,7 @@
 
 from esfem_core.output.animation import animate
 from esfem_core.output.pictures import plot
-from esfem_core.output.plotting import COLOURS, MARKERS, convergence_plot, style
+from esfem_core.output.plotting import COLOURS, MARKERS, convergence_plot, load_matplotlib, style
 from esfem_core.output.series import SeriesWriter, TableWriter, save_series, save_table
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "TableWriter",
     "animate",
     "convergence_plot",
+    "load_matplotlib",
     "plot",
     "save_series",
     "save_table",

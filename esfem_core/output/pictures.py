@@ -124,6 +124,7 @@ def drawable(name: str, text: str) -> None:
         ...
     ValueError: title must have formulas between $ that matplotlib can set, got '$\\frac{1}{2$'
     """
+    load_matplotlib()
     from matplotlib.figure import Figure
 
     figure = Figure()

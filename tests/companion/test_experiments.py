@@ -10,6 +10,7 @@ import pytest
 from esfem_core.companion import campaign
 from esfem_core.companion.experiments import EXPERIMENTS, __main__
 from esfem_core.companion.experiments.__main__ import main
+from esfem_core.companion.figures import four_panels
 from esfem_core.study import Outcome
 
 BOOK = Path(__file__).parents[2] / "book"
@@ -141,6 +142,13 @@ def test_without_a_bar_there_are_lines_and_what_is_stored_already_is_told(
     out, err = capsys.readouterr()
     assert out.startswith("lmv_run_times: ValueError: no\n")
     assert "already" not in out
+
+
+def test_without_matplotlib_a_figure_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    rows = campaign.stored("nick_figures_2_4", mesh="octahedron", order=5)
+    with pytest.raises(ImportError, match=r'need Matplotlib: pip install "esfem-core\[pict.*]'):
+        four_panels(rows, "h", (3, 2), "$h$", ("a", "b"), "full")
 
 
 @pytest.mark.parametrize("path", sorted(BOOK.glob("*.ipynb")), ids=lambda path: path.stem)
