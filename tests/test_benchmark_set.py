@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import meshio
@@ -63,12 +64,24 @@ def test_the_checker_says_what_agrees_and_what_does_not(tmp_path, capsys):
     assert check.main(file) == 1
     said = capsys.readouterr().out
     assert "agrees" in said
-    assert "3 times ours" in said
+    assert re.search(r"off by .*e-0\d, allowed 2e-0\d, 3 times ours", said)
     assert "1 of 2 numbers agree" in said
-    with pytest.raises(SystemExit, match=r"row 0 has order 9 for nick-7\.3 sphere_1; there are 4$"):
+    with pytest.raises(SystemExit, match=r"row 0 has order 9 for nick-7\.3 sphere_1; known: 4$"):
         list(check.compared([mine | {"order": 9}], ERRORS))
     with pytest.raises(SystemExit, match="none of x_l2"):
         list(check.compared([mine | {"measured": {"w": 1.0}}], ERRORS))
+
+
+def test_a_number_that_is_off_in_its_last_digit_is_seen_to_be(tmp_path, capsys):
+    row = next(r for r in ERRORS if "area" in r["measured"])
+    area, allowed = row["measured"]["area"]
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps([row | {"measured": {"area": area + 5 * allowed}}]))
+    assert check.main(file) == 1
+    line = capsys.readouterr().out.splitlines()[0]
+    theirs, ours = line.split()[5:7]
+    assert theirs != ours
+    assert line.endswith(f"off by {5 * allowed:.1e}, allowed {allowed:.0e}, 1 times ours")
 
 
 ROW = {"problem": "lmv-1", "mesh": "sphere_3", "order": 2, "step": 0.05, "measured": {"u_l2": 1.0}}
@@ -89,11 +102,11 @@ ROW = {"problem": "lmv-1", "mesh": "sphere_3", "order": 2, "step": 0.05, "measur
         (json.dumps([ROW | {"measured": {"u_l2": [1, 2]}}]), r"must be a number, got \[1, 2\]"),
         (
             json.dumps([ROW | {"mesh": "sphere"}]),
-            'has mesh "sphere" for lmv-1; there are sphere_1, ',
+            'has mesh "sphere" for lmv-1; known: sphere_1, ',
         ),
         (
             json.dumps([ROW | {"step": [0.05]}]),
-            r"has step \[0.05\] for .* 2; there are 0.05, 0.025",
+            r"has step \[0.05\] for .* 2; known: 0.05, 0.025",
         ),
         (json.dumps([ROW, ROW]), r'rows 0 and 1 are both for \["lmv-1"'),
     ],

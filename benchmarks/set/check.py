@@ -15,7 +15,7 @@ KEY = ("problem", "mesh", "order", "step")
 
 
 def compared(mine, ours):
-    """Row by row and number by number: (what, theirs, ours, ratio, agreement)."""
+    """Row by row and number by number: (what, theirs, ours, uncertainty, agreement)."""
     known = {tuple(row[k] for k in KEY): row["measured"] for row in ours}
     if not isinstance(mine, list) or not mine:
         raise SystemExit(f"there must be a list of rows, got {shown(mine)}")
@@ -38,8 +38,7 @@ def compared(mine, ours):
                 raise SystemExit(f"{name} of row {i} must be a number, got {shown(value)}")
             expected, uncertainty = known[key][name]
             agrees = abs(value - expected) <= uncertainty
-            ratio = value / expected if expected else math.inf
-            yield (*key, name), value, expected, ratio, agrees
+            yield (*key, name), value, expected, uncertainty, agrees
 
 
 def key_of(i, row, known):
@@ -57,7 +56,7 @@ def key_of(i, row, known):
         if not keys:
             of = f" for {' '.join(map(str, tried))}" if tried else ""
             raise SystemExit(
-                f"row {i} has {k} {shown(value)}{of}; there are {', '.join(map(str, there))}"
+                f"row {i} has {k} {shown(value)}{of}; known: {', '.join(map(str, there))}"
             )
         tried.append(value)
     raise AssertionError("one of the four does not fit")
@@ -82,13 +81,19 @@ def read(path):
         raise SystemExit(f"{path} must be a file of JSON: {error}") from None
 
 
+def how_far(value, expected, uncertainty):
+    """By how much a value is off; its ratio to ours, which is what counts for other schemes."""
+    ratio = f", {value / expected:.3g} times ours" if expected else ""
+    return f"off by {value - expected:.1e}, allowed {uncertainty:.0e}{ratio}"
+
+
 def main(path):
     """Print a line for each number; the exit code is 1 if some do not agree."""
     ours = json.loads((Path(__file__).parent / "errors.json").read_text())
     lines = list(compared(read(path), ours))
-    for key, value, expected, ratio, agrees in lines:
-        verdict = "agrees" if agrees else f"{ratio:.3g} times ours"
-        print(f"{' '.join(map(str, key)):60} {value:12.4e} {expected:12.4e}  {verdict}")
+    for key, value, expected, uncertainty, agrees in lines:
+        verdict = "agrees" if agrees else how_far(value, expected, uncertainty)
+        print(f"{' '.join(map(str, key)):60} {value:15.7e} {expected:15.7e}  {verdict}")
     print(f"{sum(line[-1] for line in lines)} of {len(lines)} numbers agree")
     return 0 if all(line[-1] for line in lines) else 1
 
