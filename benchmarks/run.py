@@ -2,7 +2,7 @@
 
 Run from the root of the repository, on a machine that does nothing else (about 25 minutes):
 
-    pip install -e .[bench]
+    pip install -e ".[bench]"
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/run.py
 
 DOLFINx (Debian: python3-dolfinx) and Numba are compared with, too, where they are installed.

@@ -262,7 +262,7 @@ class SurfaceSpace:
         report: Callable[[str], object] | None = print,
         boundary: bool = False,
     ) -> "SurfaceSpace":
-        """The space of the triangular elements of a file, of any degree, curved as they are.
+        """The space of the triangular elements of a file, of degree 1 to 12, curved as they are.
 
         Parameters
         ----------
