@@ -1,9 +1,12 @@
 """The experiments on (2.19) and (7.2), against closed forms and against the package's assembly."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 import esfem_core as ec
+from esfem_core.companion.experiments import mass_runtime
 from esfem_core.companion.experiments.mass_matrices import compare_masses, orders
 from esfem_core.companion.experiments.mass_runtime import assemble_by_element, runtime
 
@@ -64,6 +67,17 @@ def test_parts_of_the_run_time():
         low, middle, high = row[name]
         assert 1 < low <= middle <= high
     assert 0 < row["share_by_element"][0] < 1
+
+
+def test_what_is_timed_is_computed_also_without_assertions(monkeypatch):
+    """As under ``python -O``."""
+    asked = []
+    monkeypatch.setattr(ec.Surface, "M", property(lambda at: asked.append(at)))
+    source = inspect.getsource(mass_runtime._assembled)
+    space, names = ec.SurfaceSpace(ec.sphere("octahedron", 0)), dict(vars(mass_runtime))
+    exec(compile(source, "mass_runtime.py", "exec", optimize=1), names)
+    names["_assembled"](space, ec.State(0.0, space.nodes, None, space.nodes[:, 0]))
+    assert len(asked) == 1
 
 
 def test_steps_and_surfaces_that_do_not_fit_are_refused():
