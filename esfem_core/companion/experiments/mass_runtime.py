@@ -1,6 +1,7 @@
 """[N] 7.4: what a second assembly of the mass matrix adds to the run time of a step."""
 
 import time
+from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from types import SimpleNamespace
@@ -71,32 +72,12 @@ def runtime(
     start = time.perf_counter()
     while len(rounds) < 3 or time.perf_counter() - start < seconds:
         plain, updated = (islice(run(), order, None) for run in runs)
-        clock = np.empty((STEPS_PER_ROUND, 6))
-        for row in clock:
-            row[0] = time.perf_counter()
-            state = next(plain)
-            row[1] = time.perf_counter()
-            next(updated)
-            row[2] = time.perf_counter()
-            _assembled(space, state)
-            row[3] = time.perf_counter()
-            space.mass_stiffness(state.x)[0] @ state.u
-            row[4] = time.perf_counter()
-            space.load(state.x, space.evaluate(state.u))
-            row[5] = time.perf_counter()
-        rounds.append(np.diff(clock).mean(axis=0))
-        by_element.append([])
-        for source in (problem, None):
-            begin = time.perf_counter()
-            assemble_by_element(space, state, source)
-            by_element[-1].append(time.perf_counter() - begin)
+        state, times = _round(space, plain, updated)
+        rounds.append(times)
+        by_element.append(_by_element_times(space, problem, state))
     step, step_updated, assembly, matrix, load = np.array(rounds).T
     all_slow, mass_slow = np.array(by_element).T
     step_slow = step - assembly + all_slow
-
-    def quartiles(ratio: Array) -> list[float]:
-        return [float(q) for q in np.quantile(ratio, [0.25, 0.5, 0.75])]
-
     return {
         "nodes": len(space.nodes),
         "rounds": len(rounds),
@@ -104,13 +85,47 @@ def runtime(
         "assembly": float(np.median(assembly)),
         "matrix": float(np.median(matrix)),
         "load": float(np.median(load)),
-        "share": quartiles(assembly / step),
-        "with_matrix": quartiles(1 + matrix / step),
-        "with_load": quartiles(1 + load / step),
-        "updated": quartiles(step_updated / step),
-        "share_by_element": quartiles(all_slow / step_slow),
-        "with_matrix_by_element": quartiles(1 + mass_slow / step_slow),
+        "share": _quartiles(assembly / step),
+        "with_matrix": _quartiles(1 + matrix / step),
+        "with_load": _quartiles(1 + load / step),
+        "updated": _quartiles(step_updated / step),
+        "share_by_element": _quartiles(all_slow / step_slow),
+        "with_matrix_by_element": _quartiles(1 + mass_slow / step_slow),
     }
+
+
+def _round(
+    space: ec.SurfaceSpace, plain: Iterator[ec.State], updated: Iterator[ec.State]
+) -> tuple[ec.State, Array]:
+    """The last state of a round, and mean times: steps of both runs, assembly, matrix, load."""
+    clock = np.empty((STEPS_PER_ROUND, 6))
+    for row in clock:
+        row[0] = time.perf_counter()
+        state = next(plain)
+        row[1] = time.perf_counter()
+        next(updated)
+        row[2] = time.perf_counter()
+        _assembled(space, state)
+        row[3] = time.perf_counter()
+        space.mass_stiffness(state.x)[0] @ state.u
+        row[4] = time.perf_counter()
+        space.load(state.x, space.evaluate(state.u))
+        row[5] = time.perf_counter()
+    return state, np.diff(clock).mean(axis=0)
+
+
+def _by_element_times(space: ec.SurfaceSpace, problem: ec.Problem, state: ec.State) -> list[float]:
+    """Times of the assembly element by element: of all, and of M alone."""
+    times = []
+    for source in (problem, None):
+        begin = time.perf_counter()
+        assemble_by_element(space, state, source)
+        times.append(time.perf_counter() - begin)
+    return times
+
+
+def _quartiles(ratio: Array) -> list[float]:
+    return [float(q) for q in np.quantile(ratio, [0.25, 0.5, 0.75])]
 
 
 def _assembled(space: ec.SurfaceSpace, state: ec.State) -> None:
