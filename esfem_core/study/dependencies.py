@@ -92,7 +92,7 @@ def code_hash(function: Callable[..., Any]) -> str:
 
 
 def reached(function: Callable[..., Any]) -> list[str]:
-    """Modules of the package that a function reaches, by name.
+    """Modules of the package that a function reaches, by name: what its hash depends on.
 
     Examples
     --------

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-__all__ = ["environment", "source_hash"]
+from esfem_core.study.dependencies import PACKAGE
 
-PACKAGE = Path(__file__).parents[1]
+__all__ = ["environment", "source_hash"]
 
 
 def source_hash(package: str | Path = PACKAGE) -> str:

@@ -14,7 +14,6 @@ from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 from esfem_core.theory.defects import (
     NodalValues,
-    check_species,
     constant_diffusivity,
     diffusion,
     exact_values,
@@ -123,7 +122,7 @@ def temporal_terms_u(
 
 def _checked(space: SurfaceSpace, problem: Problem, order: int, step: float) -> tuple[int, float]:
     object_of("space", space, SurfaceSpace)
-    check_species(problem)
+    constant_diffusivity(problem)
     if regularised_law(problem) is None:
         raise ValueError("these terms are those of a velocity law, but the motion is prescribed")
     return whole_number("order", order, 1, bdf.MOST_STEPS), number("step", step, above=0)

@@ -33,7 +33,6 @@ from esfem_core.theory.forms import check_definite, check_symmetric, divergence
 __all__ = [
     "Defects",
     "NodalValues",
-    "check_species",
     "constant_diffusivity",
     "defects",
     "diffusion",
@@ -176,8 +175,8 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     Raises
     ------
     TypeError, ValueError
-        If there is no exact solution, the problem is none of the theory (:func:`check_species`,
-        :func:`regularised_law`), a number is out of range, or n < p.
+        If there is no exact solution, the problem is none of the theory
+        (:func:`constant_diffusivity`, :func:`regularised_law`), a number is out of range, or n < p.
 
     Examples
     --------
@@ -199,7 +198,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     if n < order:
         raise ValueError(f"n must be at least p = {order}, got {n}")
     law = regularised_law(problem)
-    check_species(problem)
+    constant_diffusivity(problem)
     # Newest first. Extrapolating the positions at level n - p reaches back to n - 2 p.
     exact = [exact_values(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
     now, d, t = exact[0], bdf.delta(order), n * step
@@ -250,7 +249,7 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
         If there is no exact solution, or the problem is none of the theory, as for
         :func:`defects`.
     """
-    check_species(problem)
+    constant_diffusivity(problem)
     x, v, u = exact_values(space, problem, t)
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
@@ -364,18 +363,26 @@ def diffusion(problem: Problem, A: csr_array, u: Array) -> Array:
 
 
 def constant_diffusivity(problem: Problem) -> float | Array:
-    """D of the species "u": a number, or one for each component.
+    """D of the species "u", the only one of (2.19): a number, or one for each component.
 
     Raises
     ------
     TypeError, ValueError
-        If there is no "u", its diffusivity is a function, or its equation is another than that of
-        the papers.
+        If there is another species or no "u", its diffusivity is a function, or its equation is
+        another than that of the papers.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> constant_diffusivity(ec.Problem(species={}, law=ec.laws.Regularised()))
+    Traceback (most recent call last):
+        ...
+    ValueError: problem must have the species "u" alone for the theory, got none
     """
     species = object_of("problem", problem, Problem).species
-    if "u" not in species:
+    if list(species) != ["u"]:
         names = ", ".join(map(repr, species)) or "none"
-        raise ValueError(f'problem must have the species "u" for the theory, got {names}')
+        raise ValueError(f'problem must have the species "u" alone for the theory, got {names}')
     u = species["u"]
     if callable(u.diffusivity):
         raise TypeError("the theory is for constant diffusivities, got a function")
@@ -404,29 +411,6 @@ def regularised_law(problem: Problem) -> Regularised | None:
             f"{type(problem.law).__name__}"
         )
     return problem.law
-
-
-def check_species(problem: Problem) -> None:
-    """Refuse a problem whose species are none of the theory: it is for one, "u", of (2.19).
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is another species, no "u", or as by :func:`constant_diffusivity`.
-
-    Examples
-    --------
-    >>> import esfem_core as ec
-    >>> check_species(ec.Problem(species={}, law=ec.laws.Regularised()))
-    Traceback (most recent call last):
-        ...
-    ValueError: problem must have the species "u" alone for the theory, got none
-    """
-    species = object_of("problem", problem, Problem).species
-    if list(species) != ["u"]:
-        names = ", ".join(map(repr, species)) or "none"
-        raise ValueError(f'problem must have the species "u" alone for the theory, got {names}')
-    constant_diffusivity(problem)
 
 
 def source_load(
@@ -471,7 +455,7 @@ def source_load(
     one_of("name", name, ("f", "g"))
     object_of("space", space, SurfaceSpace)
     if name == "f":
-        check_species(problem)
+        constant_diffusivity(problem)
     x = finite_array("x", x, space.nodes.shape)
     u = finite_array("u", u, (len(space.nodes), "..."))
     at = Surface(space, x, u, t)

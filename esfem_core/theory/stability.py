@@ -24,7 +24,7 @@ from esfem_core.solvers import superlu
 from esfem_core.stepping import State, check_state, evolve, exact_state
 from esfem_core.theory.defects import (
     Defects,
-    check_species,
+    constant_diffusivity,
     defects,
     dual_norm,
     regularised_law,
@@ -94,7 +94,7 @@ def response(
     """
     order, step = whole_number("order", order, 1, MOST_ORDER), number("step", step, above=0)
     function("chosen", chosen, "of the number of a step")
-    check_species(problem)
+    constant_diffusivity(problem)
     regularised_law(problem)
     if start is not None:
         start = _checked_start(order, start)

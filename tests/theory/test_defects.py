@@ -205,7 +205,7 @@ def test_what_is_no_problem_no_space_and_no_field_is_named():
         (lambda: constant_diffusivity(3), "problem must be a Problem, got 3"),
         (
             lambda: constant_diffusivity(of_another),
-            "the species \"u\" .*'w'",
+            "the species \"u\" alone .*'w'",
         ),
         (lambda: source_load(space, None, "g", x, u, 0.0), no_problem),
         (lambda: temporal_terms_u(space, None, 1, 0.1, 2), no_problem),
