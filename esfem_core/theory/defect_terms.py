@@ -17,6 +17,7 @@ from esfem_core.theory.defects import (
     constant_diffusivity,
     diffusion,
     exact_values,
+    force_load,
     rate_of_mass,
     rate_of_u,
     regularised_law,
@@ -57,13 +58,13 @@ def temporal_terms_v(
     now = exact_values(space, problem, t)
     far = _extrapolated(space, problem, order, step, t)
     (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
-    on_extrapolated = source_load(space, problem, "g", far.x, now.u, t)
+    on_extrapolated = force_load(space, problem, far.x, now.u, t)
     return {
         "M": Mt @ now.v - M @ now.v,
         "alpha A": law.alpha * (At @ now.v - A @ now.v),
         "beta A": law.beta * (At @ now.x - A @ now.x),
-        "g, surface": source_load(space, problem, "g", now.x, now.u, t) - on_extrapolated,
-        "g, extrapolated u": on_extrapolated - source_load(space, problem, "g", far.x, far.u, t),
+        "g, surface": force_load(space, problem, now.x, now.u, t) - on_extrapolated,
+        "g, extrapolated u": on_extrapolated - force_load(space, problem, far.x, far.u, t),
     }
 
 
@@ -106,7 +107,7 @@ def temporal_terms_u(
         surface = _extrapolated(space, problem, order, step, then).x
         masses.append(space.mass_times(surface, exact_state(space, problem, then).u))
     quotient = bdf.combine(bdf.delta(order), masses) / step
-    f_surface = source_load(space, problem, "f", far.x, now.u, t)
+    f_surface = source_load(space, problem, far.x, now.u, t)
     (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
     on_extrapolated = stretching(space, far.x, now.v, now.u)
     return {
@@ -115,8 +116,8 @@ def temporal_terms_u(
         "(6.16)": stretching(space, far.x, far.v - now.v, now.u),
         "(6.17)": on_extrapolated - stretching(space, now.x, now.v, now.u),
         "A": diffusion(problem, At, now.u) - diffusion(problem, A, now.u),
-        "(6.22)": source_load(space, problem, "f", now.x, now.u, t) - f_surface,
-        "f, extrapolated u": f_surface - source_load(space, problem, "f", far.x, far.u, t),
+        "(6.22)": source_load(space, problem, now.x, now.u, t) - f_surface,
+        "f, extrapolated u": f_surface - source_load(space, problem, far.x, far.u, t),
     }
 
 
@@ -238,6 +239,6 @@ def spatial_terms_u(
         "(6.20)": m(ratio * div_v * (u_h - exact)),
         "A, lifted": diffusion(problem, A, u) - diffusion(problem, A_lift, u),
         "A, interpolated": diffusion(problem, A_lift, u) - diffusivity * a(grad_u),
-        "(6.23)": m(ratio * f) - source_load(space, problem, "f", x, u, t),
+        "(6.23)": m(ratio * f) - source_load(space, problem, x, u, t),
         "(6.4), test function": a(exact[..., None] * slip),
     }

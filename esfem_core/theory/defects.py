@@ -14,13 +14,13 @@ Only the functionals M d_u and M d_v are ever needed, and the functions here ret
 At levels j < p, where nothing can be extrapolated, M(x_*^j) is taken, as the scheme does.
 """
 
-from typing import Literal, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, finite_array, number, object_of, one_of, shown, whole_number
+from esfem_core.checks import Array, finite_array, number, object_of, shown, whole_number
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.errors import root_of_form, square_matrix
 from esfem_core.laws import Prescribed, Regularised
@@ -38,6 +38,7 @@ __all__ = [
     "diffusion",
     "dual_norm",
     "exact_values",
+    "force_load",
     "rate_of_mass",
     "rate_of_u",
     "regularised_law",
@@ -212,7 +213,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     A = space.mass_stiffness(x)[1]
     masses = [space.mass_times(at(j), exact[j].u) for j in range(order + 1)]
     du = bdf.combine(d, masses) / step
-    du += diffusion(problem, A, now.u) - source_load(space, problem, "f", x, u, t)
+    du += diffusion(problem, A, now.u) - source_load(space, problem, x, u, t)
     if law is None:
         return Defects(du, np.zeros_like(x), np.zeros_like(x))
     dv = law.residual(Surface(space, x, u, t), now.x, now.v)
@@ -253,7 +254,7 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     x, v, u = exact_values(space, problem, t)
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
-    du += diffusion(problem, A, u) - source_load(space, problem, "f", x, u, t)
+    du += diffusion(problem, A, u) - source_load(space, problem, x, u, t)
     law, zero = regularised_law(problem), np.zeros_like(x)
     dv = zero if law is None else law.residual(Surface(space, x, u, t), x, v)
     return Defects(du, dv, zero)
@@ -414,19 +415,13 @@ def regularised_law(problem: Problem) -> Regularised | None:
 
 
 def source_load(
-    space: SurfaceSpace,
-    problem: Problem,
-    name: Literal["f", "g"],
-    x: ArrayLike,
-    u: ArrayLike,
-    t: float,
+    space: SurfaceSpace, problem: Problem, x: ArrayLike, u: ArrayLike, t: float
 ) -> Array:
-    """Load vector f(x, u) or g(x, u) of the right-hand sides of (2.19) and (2.20).
+    """Load vector f(x, u) of the right-hand side of (2.19).
 
     Parameters
     ----------
     space, problem : SurfaceSpace, Problem
-    name : {"f", "g"}
     x : (N, 3) float array
         Node positions.
     u : (N,) or (N, m) float array
@@ -434,34 +429,68 @@ def source_load(
 
     Returns
     -------
-    float array
-        Of the shape of u for f, (N, 3) for g. Zero if the problem has no such function.
+    float array of the shape of u
+        Zero if the problem has no f.
 
     Raises
     ------
-    ValueError
-        If an argument, or what f or g returns, has the wrong shape or is not finite.
+    TypeError, ValueError
+        If an argument, or what f returns, has the wrong shape or is not finite, or as by
+        :func:`constant_diffusivity`.
 
     Examples
     --------
     >>> import esfem_core as ec
     >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
     >>> problem = ec.Problem(u0=lambda x: x[:, 0], f=lambda at: at.t * at.u)
-    >>> b = source_load(space, problem, "f", space.nodes, space.nodes[:, 0], 2.0)
+    >>> b = source_load(space, problem, space.nodes, space.nodes[:, 0], 2.0)
     >>> expected = 2 * space.mass_times(space.nodes, space.nodes[:, 0])
     >>> bool(np.allclose(b, expected, rtol=0, atol=1e-15))
     True
     """
-    one_of("name", name, ("f", "g"))
+    constant_diffusivity(problem)
+    at = _surface(space, x, u, t)
+    load = problem.species["u"].load("u", at)
+    return np.zeros_like(at.fields["u"]) if load is None else load
+
+
+def force_load(
+    space: SurfaceSpace, problem: Problem, x: ArrayLike, u: ArrayLike, t: float
+) -> Array:
+    """Load vector g(x, u) of the right-hand side of (2.20).
+
+    Parameters
+    ----------
+    space, problem, x, u, t
+        As for :func:`source_load`.
+
+    Returns
+    -------
+    (N, 3) float array
+        Zero if the problem has no g, or a prescribed motion.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument, or what g returns, has the wrong shape or is not finite, or as by
+        :func:`regularised_law`.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> problem = ec.Problem(u0=lambda x: x[:, 0], g=lambda at: 3 * np.ones(at.density.shape))
+    >>> b = force_load(space, problem, space.nodes, space.nodes[:, 0], 0.0)
+    >>> expected = 3 * space.load(space.nodes, space.normals(space.nodes))
+    >>> bool(np.allclose(b, expected, rtol=0, atol=1e-15))
+    True
+    """
+    law, at = regularised_law(problem), _surface(space, x, u, t)
+    load = None if law is None else law.load(at)
+    return np.zeros_like(at.x) if load is None else load
+
+
+def _surface(space: SurfaceSpace, x: ArrayLike, u: ArrayLike, t: float) -> Surface:
     object_of("space", space, SurfaceSpace)
-    if name == "f":
-        constant_diffusivity(problem)
     x = finite_array("x", x, space.nodes.shape)
-    u = finite_array("u", u, (len(space.nodes), "..."))
-    at = Surface(space, x, u, t)
-    if name == "f":
-        load, zero = problem.species["u"].load("u", at), np.zeros_like(u)
-    else:
-        law, zero = regularised_law(problem), np.zeros_like(x)
-        load = None if law is None else law.load(at)
-    return zero if load is None else load
+    return Surface(space, x, finite_array("u", u, (len(space.nodes), "...")), t)

@@ -27,6 +27,7 @@ from esfem_core.theory.defects import (
     diffusion,
     dual_norm,
     exact_values,
+    force_load,
     rate_of_mass,
     rate_of_u,
     regularised_law,
@@ -207,7 +208,7 @@ def test_what_is_no_problem_no_space_and_no_field_is_named():
             lambda: constant_diffusivity(of_another),
             "the species \"u\" alone .*'w'",
         ),
-        (lambda: source_load(space, None, "g", x, u, 0.0), no_problem),
+        (lambda: force_load(space, None, x, u, 0.0), no_problem),
         (lambda: temporal_terms_u(space, None, 1, 0.1, 2), no_problem),
         (lambda: temporal_terms_v(space, None, 1, 0.1, 0.2), no_problem),
         (lambda: temporal_terms_u(None, EXPANDING, 1, 0.1, 2), "space must be a SurfaceSpace"),
@@ -263,7 +264,7 @@ def test_problems_with_terms_that_the_theory_lacks_are_refused(species, message)
     for call in (
         lambda: defects(space, problem, 1, 0.1, 1),
         lambda: spatial_defects(space, problem, 0.0),
-        lambda: source_load(space, problem, "f", x, x[:, 0], 0.0),
+        lambda: source_load(space, problem, x, x[:, 0], 0.0),
         lambda: response(space, problem, 1, 0.1, 0.3, lambda n: None),
     ):
         with pytest.raises((TypeError, ValueError), match=message):
@@ -302,14 +303,14 @@ def test_a_source_is_loaded_with_the_values_it_returns(components):
     u = np.ones((n, *components))
     problem = ec.Problem(u0=u, f=lambda at: 3 * at.u, g=lambda at: 2 * np.ones(at.density.shape))
     M, _ = space.mass_stiffness(space.nodes)
-    np.testing.assert_allclose(source_load(space, problem, "f", space.nodes, u, 0.0), 3 * M @ u)
-    load = source_load(space, problem, "g", space.nodes, u, 0.0)
+    np.testing.assert_allclose(source_load(space, problem, space.nodes, u, 0.0), 3 * M @ u)
+    load = force_load(space, problem, space.nodes, u, 0.0)
     np.testing.assert_allclose(
         load, space.load(space.nodes, 2 * space.normals(space.nodes)), atol=1e-15
     )
     nothing = ec.Problem(u0=u)
-    assert source_load(space, nothing, "f", space.nodes, u, 0.0).shape == u.shape
-    assert source_load(space, nothing, "g", space.nodes, u, 0.0).shape == (n, 3)
+    assert source_load(space, nothing, space.nodes, u, 0.0).shape == u.shape
+    assert force_load(space, nothing, space.nodes, u, 0.0).shape == (n, 3)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +338,7 @@ def test_sources_of_another_shape_or_not_finite_are_refused(returned, error, mes
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2)
     problem = ec.Problem(u0=lambda x: x[:, 0], g=returned)
     with pytest.raises(error, match=message):
-        source_load(space, problem, "g", space.nodes, space.nodes[:, 0], 0.0)
+        force_load(space, problem, space.nodes, space.nodes[:, 0], 0.0)
 
 
 @pytest.mark.parametrize("other", [{"rate": 3.0}, {"conserved": False}, {"fixed": 1.0}])
@@ -354,10 +355,8 @@ def test_equations_that_the_papers_do_not_have_are_refused(other):
 def test_nodal_values_of_another_shape_are_refused():
     space = space_of(0)
     x, u = space.nodes, space.nodes[:, 0]
-    with pytest.raises(ValueError, match='name must be "f" or "g", got \'h\''):
-        source_load(space, EXPANDING, "h", x, u, 0.0)
     with pytest.raises(ValueError, match=r"u must have shape \(42, \.\.\.\), got \(1,\)"):
-        source_load(space, EXPANDING, "f", x, u[:1], 0.0)
+        source_load(space, EXPANDING, x, u[:1], 0.0)
     with pytest.raises(ValueError, match=r"v must have shape \(42, 3\), got \(42,\)"):
         stretching(space, x, u, u)
     with pytest.raises(ValueError, match=r"rate must have shape \(42,\), got \(42, 3\)"):
