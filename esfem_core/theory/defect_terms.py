@@ -24,7 +24,8 @@ from esfem_core.theory.defects import (
     source_load,
     stretching,
 )
-from esfem_core.theory.forms import divergence, lift, stiffness
+from esfem_core.theory.forms import Lift, divergence, lift, stiffness
+from esfem_core.theory.geometry import apply, tangent_projection
 
 __all__ = ["Field", "spatial_terms_u", "temporal_terms_u", "temporal_terms_v"]
 
@@ -190,11 +191,47 @@ def spatial_terms_u(
         function(f"field.{name}", getattr(field, name), f"of {of}")
     x, v, u = exact_values(space, problem, t)
     finite_array("the exact u", u, (len(x),))
-    onto = lift(space, x, field.surface(t))
-    y, ratio, u_h = onto.points, onto.ratio, space.evaluate(u)
-    tangential = np.eye(3) - onto.normal[..., :, None] * onto.normal[..., None, :]
-    diffusivity = constant_diffusivity(problem)
-    exact_u = cast(Exact, problem.exact).functions["u"]
+    at, onto = Surface(space, x), lift(space, x, field.surface(t))
+    ratio, exact = onto.ratio, _exact_at(problem, field, onto, t)
+    v_lift, q_lift = _lift_motion(space, problem, field, t)
+    slip = v_lift - exact.v
+    rate_lift = exact.rate + np.sum(exact.grad_u * slip, -1)
+    rate_h, u_h = space.evaluate(rate_of_u(space, problem, t)), space.evaluate(u)
+    pulled = np.swapaxes(onto.gradient, -1, -2)
+
+    def a(gradient: Array) -> Array:
+        return at.load(None, ratio[..., None] * apply(pulled, gradient))
+
+    m = at.load
+    D, A, A_lift = constant_diffusivity(problem), at.A, stiffness(space, x, onto.tensor)
+    return {
+        "u', interpolated": m(rate_h - rate_lift),
+        "u', lifted": m((1 - ratio) * rate_lift),
+        "u', v^": m(ratio * (rate_lift - exact.rate)),
+        "(6.18)": m((divergence(space, x, v) - q_lift) * u_h),
+        "(6.19)": m((q_lift - ratio * exact.div_v) * u_h),
+        "(6.20)": m(ratio * exact.div_v * (u_h - exact.u)),
+        "A, lifted": diffusion(problem, A, u) - diffusion(problem, A_lift, u),
+        "A, interpolated": diffusion(problem, A_lift, u) - D * a(exact.grad_u),
+        "(6.23)": m(ratio * exact.f) - source_load(space, problem, x, u, t),
+        "(6.4), test function": a(exact.u[..., None] * slip),
+    }
+
+
+class _Exact(NamedTuple):
+    """The exact solution at the lifts of the quadrature points; the rate is the material one."""
+
+    u: Array
+    grad_u: Array
+    rate: Array
+    v: Array
+    div_v: Array
+    f: Array
+
+
+def _exact_at(problem: Problem, field: Field, onto: Lift, t: float) -> _Exact:
+    y, tangential = onto.points, tangent_projection(onto.normal)
+    u = cast(Exact, problem.exact).functions["u"]
 
     def slope(of: Callable[[Array], Array]) -> Array:
         """Ambient derivatives at y, last index."""
@@ -203,42 +240,27 @@ def spatial_terms_u(
     def along(of: Callable[[Array], Array], e: Array) -> Array:
         return derivative(lambda s: of(y + s * e))
 
-    grad_u = (tangential @ slope(lambda z: exact_u(z, t))[..., None])[..., 0]
-    v_exact = finite_array("field.v(x, t)", field.v(y, t), y.shape)
-    div_v = np.einsum("...ij,...ji->...", slope(lambda z: field.v(z, t)), tangential)
-    rate = derivative(lambda s: exact_u(y + s * v_exact, t + s))
+    v = finite_array("field.v(x, t)", field.v(y, t), y.shape)
+    return _Exact(
+        u=u(y, t),
+        grad_u=apply(tangential, slope(lambda z: u(z, t))),
+        rate=derivative(lambda s: u(y + s * v, t + s)),
+        v=v,
+        div_v=np.einsum("...ij,...ji->...", slope(lambda z: field.v(z, t)), tangential),
+        f=finite_array("field.f(x, t)", field.f(y, t), y.shape[:-1]),
+    )
+
+
+def _lift_motion(
+    space: SurfaceSpace, problem: Problem, field: Field, t: float
+) -> tuple[Array, Array]:
+    """Velocity v^ of the lifts of the quadrature points, and its divergence times the ratio."""
 
     def moved(s: float) -> tuple[Array, Array]:
-        """Lifts of the quadrature points at t + s, and the area that they carry."""
+        """Lifts at t + s, and the area that they carry."""
         x = exact_state(space, problem, t + s).x
-        then = lift(space, x, field.surface(t + s))
-        return then.points, then.ratio * space.density(x)
+        onto = lift(space, x, field.surface(t + s))
+        return onto.points, onto.ratio * space.density(x)
 
-    v_lift = derivative(lambda s: moved(s)[0])
-    q_lift = derivative(lambda s: moved(s)[1]) / space.density(x)  # (div v^) times ratio
-    slip = v_lift - v_exact
-    rate_lift = rate + np.sum(grad_u * slip, -1)
-    rate_h = space.evaluate(rate_of_u(space, problem, t))
-
-    def m(values: Array) -> Array:
-        return space.load(x, values)
-
-    at, pulled = Surface(space, x), np.swapaxes(onto.gradient, -1, -2)
-
-    def a(gradient: Array) -> Array:
-        return at.load(None, ratio[..., None] * (pulled @ gradient[..., None])[..., 0])
-
-    A, A_lift = space.mass_stiffness(x)[1], stiffness(space, x, onto.tensor)
-    exact, f = exact_u(y, t), finite_array("field.f(x, t)", field.f(y, t), ratio.shape)
-    return {
-        "u', interpolated": m(rate_h - rate_lift),
-        "u', lifted": m((1 - ratio) * rate_lift),
-        "u', v^": m(ratio * (rate_lift - rate)),
-        "(6.18)": m((divergence(space, x, v) - q_lift) * u_h),
-        "(6.19)": m((q_lift - ratio * div_v) * u_h),
-        "(6.20)": m(ratio * div_v * (u_h - exact)),
-        "A, lifted": diffusion(problem, A, u) - diffusion(problem, A_lift, u),
-        "A, interpolated": diffusion(problem, A_lift, u) - diffusivity * a(grad_u),
-        "(6.23)": m(ratio * f) - source_load(space, problem, x, u, t),
-        "(6.4), test function": a(exact[..., None] * slip),
-    }
+    density = space.density(exact_state(space, problem, t).x)
+    return derivative(lambda s: moved(s)[0]), derivative(lambda s: moved(s)[1]) / density

@@ -193,7 +193,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     >>> max(ec.errors.compare(space, problem, last)) < 1e-11
     True
     """
-    order, step = whole_number("order", order, 1, 100), number("step", step, above=0)
+    order, step = whole_number("order", order, 1, bdf.MOST_STEPS), number("step", step, above=0)
     object_of("problem", problem, Problem)
     n = whole_number("n", n, 0)
     if n < order:
