@@ -170,8 +170,7 @@ class Processes(Executor):
                 answer = worker.call(payload)
             except BaseException as error:
                 if worker:
-                    worker.end()
-                    self._living.discard(worker.process)
+                    self._let_go(worker)
                     worker = None
                 future.set_exception(error)
             else:
@@ -181,8 +180,7 @@ class Processes(Executor):
                 else:
                     future.set_exception(value)
         if worker:
-            worker.end()
-            self._living.discard(worker.process)
+            self._let_go(worker)
 
     def _start(self) -> "_Worker":
         with self._lock:
@@ -196,6 +194,10 @@ class Processes(Executor):
             self._living.discard(worker.process)
             raise
         return worker
+
+    def _let_go(self, worker: "_Worker") -> None:
+        worker.end()
+        self._living.discard(worker.process)
 
 
 class _Worker:
@@ -215,7 +217,7 @@ class _Worker:
             self.pipe.recv_bytes()
         except (EOFError, OSError):
             raise WorkerLostError(
-                f"a process {self._end()} before it began. {GUARD}", False
+                f"a process {self._how_it_ended()} before it began. {GUARD}", False
             ) from None
 
     def call(self, payload: bytes) -> tuple[bool, Any]:
@@ -224,7 +226,7 @@ class _Worker:
             self.pipe.send_bytes(payload)
             answer = self.pipe.recv_bytes()
         except (EOFError, OSError):
-            raise WorkerLostError(f"the process that computed it {self._end()}") from None
+            raise WorkerLostError(f"the process that computed it {self._how_it_ended()}") from None
         found: tuple[bool, Any] = pickle.loads(answer)
         return found
 
@@ -235,7 +237,7 @@ class _Worker:
         self.process.kill()
         self.process.join()
 
-    def _end(self) -> str:
+    def _how_it_ended(self) -> str:
         self.pipe.close()
         self.process.join(5)
         code = self.process.exitcode
