@@ -11,7 +11,7 @@ __all__ = ["torus"]
 
 
 def torus(n: int, R: float = 1.0, r: float = 0.4, displaced: float = 0.0) -> trimesh.Trimesh:
-    """A torus of 5n by 2n cells, its vertices displaced along the surface, the same way each time.
+    """The :func:`esfem_core.torus` of 5n by 2n cells, its vertices displaced, always the same way.
 
     On a regular mesh errors of neighbouring elements cancel, and orders are seen that no theorem
     promises.

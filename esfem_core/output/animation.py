@@ -16,10 +16,10 @@ from typing import Any
 from esfem_core.checks import iterable, output_path, string, whole_number
 from esfem_core.output.pictures import (
     Values,
+    check_formulas,
     colour_range,
     cube,
     draw,
-    drawable,
     nodal_values,
 )
 from esfem_core.output.plotting import load_matplotlib
@@ -97,8 +97,8 @@ def animate(
         string("label", label)
     colour_range([], limits)
     if file is not None and is_film:
-        drawable("title", title)
-        drawable("label", label or "")
+        check_formulas("title", title)
+        check_formulas("label", label or "")
         _writer(file)
     frames: list[Shot] = []
     drawn = ""
@@ -142,7 +142,7 @@ def _writer(file: Path) -> Any:
     return writer
 
 
-def _shown(duration: int, suffix: str) -> float:
+def _frame_duration(duration: int, suffix: str) -> float:
     """Milliseconds per frame as the writer of a film is to have them.
 
     In GIF they are whole hundredths of a second, and what is less than two of them, programs show
@@ -150,7 +150,7 @@ def _shown(duration: int, suffix: str) -> float:
 
     Examples
     --------
-    >>> [int(1000 / (1000 / _shown(duration, ".gif"))) for duration in (1, 15, 30, 77)]
+    >>> [int(1000 / (1000 / _frame_duration(duration, ".gif"))) for duration in (1, 15, 30, 77)]
     [20, 20, 30, 80]
     """
     return max(10 * round(duration / 10), 20) + 1e-3 if suffix == ".gif" else duration
@@ -185,6 +185,6 @@ def _film(
     film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
     with TemporaryDirectory() as folder:
         made = Path(folder, f"film{file.suffix.lower()}")
-        film.save(made, writer=_writer(file)(fps=1000 / _shown(duration, made.suffix)))
+        film.save(made, writer=_writer(file)(fps=1000 / _frame_duration(duration, made.suffix)))
         write_whole(file, made.read_bytes())
     return file

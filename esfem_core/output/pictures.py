@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 __all__ = [
     "PLAIN",
     "Values",
+    "check_formulas",
     "colour_range",
     "cube",
     "draw",
-    "drawable",
     "nodal_values",
     "plot",
 ]
@@ -94,8 +94,8 @@ def plot(
     name, colours = nodal_values(state, values)
     label = name if label is None else label
     title = f"t = {state.t:.4g}" if title is None else title
-    drawable("title", title)
-    drawable("label", label)
+    check_formulas("title", title)
+    check_formulas("label", label)
     shades = colour_range([colours], limits)
     if ax is None:
         from matplotlib import pyplot
@@ -113,13 +113,13 @@ def plot(
     return ax
 
 
-def drawable(name: str, text: str) -> None:
+def check_formulas(name: str, text: str) -> None:
     r"""Refuse text whose formulas matplotlib cannot set, before anything is drawn.
 
     Examples
     --------
-    >>> drawable("title", "no formula: 3 $")
-    >>> drawable("title", r"$\frac{1}{2$")
+    >>> check_formulas("title", "no formula: 3 $")
+    >>> check_formulas("title", r"$\frac{1}{2$")
     Traceback (most recent call last):
         ...
     ValueError: title must have formulas between $ that matplotlib can set, got '$\\frac{1}{2$'

@@ -75,7 +75,7 @@ def style() -> None:
 
 def convergence_plot(
     ax: Axes,
-    steps: ArrayLike,
+    sizes: ArrayLike,
     errors: Mapping[str, ArrayLike],
     order: float,
     xlabel: str,
@@ -85,7 +85,7 @@ def convergence_plot(
     Parameters
     ----------
     ax : matplotlib.axes.Axes
-    steps : (n,) floats
+    sizes : (n,) floats
         Step or mesh sizes; at least two, all different.
     errors : mapping of str to (n,) floats
         One curve each. The legend adds the order observed: the slope of the least-squares line
@@ -98,7 +98,7 @@ def convergence_plot(
     Raises
     ------
     TypeError, ValueError
-        If lengths differ, there are fewer than two different steps or no errors, or a number is
+        If lengths differ, there are fewer than two different sizes or no errors, or a number is
         not positive and finite.
 
     Examples
@@ -109,11 +109,11 @@ def convergence_plot(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['position (order 3.00)', 'slope 3']
     """
-    h = _positive("steps", steps, ("n",))
+    h = _positive("sizes", sizes, ("n",))
     order = number("order", order)
     if len(np.unique(h)) < 2:
-        raise ValueError(f"steps must hold at least two different ones, got {h.tolist()}")
-    if not mapping("errors", errors, "one number for each step"):
+        raise ValueError(f"sizes must hold at least two different ones, got {h.tolist()}")
+    if not mapping("errors", errors, "one number for each size"):
         raise ValueError("errors must hold at least one curve, got none")
     if not hasattr(ax, "loglog"):
         raise TypeError(f"ax must be axes of matplotlib, got {shown(ax)}")

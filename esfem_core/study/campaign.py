@@ -38,8 +38,8 @@ from esfem_core.study.rows import (
     Row,
     Store,
     plain,
+    reason_of,
     set_aside,
-    told,
 )
 from esfem_core.study.user_code import code_of, pieces
 
@@ -473,8 +473,8 @@ class _Campaign:
         except (OSError, ValueError) as error:  # no room, or someone has spoilt the file
             if not self._unsaved:
                 warnings.warn(
-                    f"{store.path} cannot be written ({told(error)}): finished rows are kept in "
-                    "memory until it can",
+                    f"{store.path} cannot be written ({reason_of(error)}): finished rows are kept "
+                    "in memory until it can",
                     StudyWarning,
                     stacklevel=2,
                 )

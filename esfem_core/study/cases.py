@@ -79,7 +79,7 @@ class Results:
         return "\n".join([*lines, *self._notes()])
 
     def _notes(self) -> list[str]:
-        return [f"failed: {_named(f.parameters)}: {_told(f.error)}" for f in self.failures]
+        return [f"failed: {_named(f.parameters)}: {_named_error(f.error)}" for f in self.failures]
 
     def _repr_html_(self) -> str:
         header, cells = self._cells()
@@ -126,7 +126,7 @@ def _named(parameters: Parameters) -> str:
     return ", ".join(f"{name}={value!r}" for name, value in parameters.items())
 
 
-def _told(error: BaseException) -> str:
+def _named_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
@@ -248,7 +248,7 @@ def run(
             elif outcome.error:
                 failures.append(Failure(outcome.parameters, outcome.error))
     if failures:
-        first = f"{_named(failures[0].parameters)}: {_told(failures[0].error)}"
+        first = f"{_named(failures[0].parameters)}: {_named_error(failures[0].error)}"
         warnings.warn(
             f"{len(failures)} of the cases failed, the first one with {first}",
             StudyWarning,
@@ -269,7 +269,7 @@ def _reporting(
         nonlocal done
         done += outcome.cases
         if outcome.error:
-            news = _told(outcome.error)
+            news = _named_error(outcome.error)
         elif outcome.found or not outcome.row:
             news = "found"
         else:

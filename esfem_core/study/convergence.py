@@ -250,8 +250,8 @@ class ConvergenceTable:
         for name, values in self.errors.items():
             header += [name, "order"]
             columns += [
-                [_shown(value, ".2e") for value in values],
-                ["", *(_shown(order, "z.2f") for order in self.orders(name))][: len(values)],
+                [_cell(value, ".2e") for value in values],
+                ["", *(_cell(order, "z.2f") for order in self.orders(name))][: len(values)],
             ]
         return header, [list(row) for row in zip(*columns, strict=True)]
 
@@ -274,7 +274,7 @@ def _named(name: str, row: Any) -> dict[str, Any]:
     return dict(mapping(name, values, "numbers"))
 
 
-def _shown(value: float, spec: str) -> str:
+def _cell(value: float, spec: str) -> str:
     return "–" if np.isnan(value) else format(value, spec)
 
 

@@ -27,9 +27,9 @@ __all__ = [
     "case_key",
     "plain",
     "read",
+    "reason_of",
     "select",
     "set_aside",
-    "told",
 ]
 
 BEGINNING = b'{"parameters": '  # of a line
@@ -369,7 +369,7 @@ def _number(key: str) -> int:
     return 1 + int.from_bytes(hashlib.sha256(key.encode()).digest()[:7], "big")
 
 
-def told(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """What a message says of an error: no number of the system, and no path a second time."""
     return getattr(error, "strerror", None) or str(error)
 
@@ -377,7 +377,7 @@ def told(error: Exception) -> str:
 def set_aside(unsaved: list[tuple[Store, Row]], reason: Exception) -> UnsavedRowsError:
     """Write rows that have no room where they belong to another place; what to tell of it."""
     rows = [row for _, row in unsaved]
-    text = f"{len(rows)} finished rows could not be written ({told(reason)})"
+    text = f"{len(rows)} finished rows could not be written ({reason_of(reason)})"
     try:
         folder = Path(tempfile.mkdtemp(prefix="esfem-study-"))
         advice = []

@@ -118,7 +118,7 @@ def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
         ([0.1, 0.05], {}, "errors must hold at least one curve"),
         ([0.1], {"u": [1e-3]}, r"at least two different ones, got \[0\.1\]"),
         ([0.1, 0.1], {"u": [1e-3, 1e-3]}, "at least two different ones"),
-        (0.1, {"u": 1e-3}, r"steps must have shape \(n,\), got \(\)"),
+        (0.1, {"u": 1e-3}, r"sizes must have shape \(n,\), got \(\)"),
     ]:
         with pytest.raises(ValueError, match=message):
             convergence_plot(ax, steps, errors, 3, "step")
