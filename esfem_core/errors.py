@@ -100,6 +100,7 @@ def square_matrix(name: str, matrix: csr_array) -> csr_array:
     Raises
     ------
     TypeError, ValueError
+        If it is not sparse, not square or not finite.
     """
     if not issparse(matrix):
         raise TypeError(f"{name} must be a sparse matrix, got {shown(matrix)}")
@@ -118,6 +119,7 @@ def root_of_form(name: str, w: Array, image: Array, size: float = 0.0) -> float:
     Raises
     ------
     ValueError
+        If the square is negative beyond rounding.
 
     Examples
     --------

@@ -55,6 +55,15 @@ def expanding_sphere(
     ------
     ValueError, TypeError
         If `coupling` is unknown or a parameter out of range.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> problem = expanding_sphere()
+    >>> *_, last = ec.evolve(space, problem, order=2, step=1 / 20, end=0.5)
+    >>> print(f"{np.linalg.norm(last.x, axis=1).mean():.2f}")  # r(1/2)
+    1.50
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
 
@@ -223,6 +232,15 @@ def shrinking_sphere(alpha: float = 1.0, beta: float = 1.0, u0: float = 1.0) -> 
     ------
     ValueError, TypeError
         If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> *_, last = ec.evolve(space, shrinking_sphere(), order=2, step=1 / 20, end=0.5)
+    >>> r = np.linalg.norm(last.x, axis=1).mean()
+    >>> print(f"{r:.2f} {r**2 / 2 + 2 * np.log(r):.2f}")  # 1/2 - 2 t
+    0.69 -0.50
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     u0 = number("u0", u0)
@@ -285,6 +303,15 @@ def growing_sphere(
     ------
     ValueError, TypeError
         If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> *_, last = ec.evolve(space, growing_sphere(), order=2, step=1 / 20, end=0.5)
+    >>> r = np.linalg.norm(last.x, axis=1).mean()
+    >>> print(f"{r:.2f} {r**2 * last.u.mean():.2f}")  # r^2 u stays
+    1.26 4.00
     """
     alpha, beta = number("alpha", alpha, least=0), number("beta", beta, least=0)
     delta, u0 = number("delta", delta), number("u0", u0)

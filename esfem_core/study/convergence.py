@@ -39,6 +39,13 @@ def final(states: Iterable[State]) -> State:
     ------
     ValueError
         If there are no states.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> final(ec.evolve(space, ec.problems.shrinking_sphere(), 2, 0.1, 0.5))
+    State(t=0.5, nodes=162, fields: u)
     """
     iterable("states", states, "States")
     last = deque(states, maxlen=1)

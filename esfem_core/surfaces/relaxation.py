@@ -109,7 +109,7 @@ def evened(
     rounds: int = MAX_ROUNDS,
     turn: float = MAX_TURN,
 ) -> Evened:
-    """Even out a triangulation whose edges are about of length h, until it is good and settled.
+    """Even out a triangulation whose edges have about the length h, until it is good and settled.
 
     A round is described with :func:`esfem_core.from_level_set`.
 

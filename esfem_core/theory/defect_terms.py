@@ -53,6 +53,19 @@ def temporal_terms_v(
     ------
     TypeError, ValueError
         If a number is out of range, there is no exact solution, or the motion is prescribed.
+
+    Examples
+    --------
+    They add up to what the defects have beyond those of the semi-discretization:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> from esfem_core.theory.defects import defects, spatial_defects
+    >>> problem = ec.problems.expanding_sphere()
+    >>> terms = temporal_terms_v(space, problem, 2, 1 / 40, 0.5)
+    >>> whole, limit = defects(space, problem, 2, 1 / 40, 20), spatial_defects(space, problem, 0.5)
+    >>> bool(np.allclose(sum(terms.values()), whole.v - limit.v, rtol=0, atol=1e-12))
+    True
     """
     order, step = _checked(space, problem, order, step)
     law = cast(Regularised, regularised_law(problem))
@@ -94,6 +107,19 @@ def temporal_terms_u(
     ------
     TypeError, ValueError
         If n < 2 p, or as for :func:`temporal_terms_v`.
+
+    Examples
+    --------
+    They add up to what the defects have beyond those of the semi-discretization:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> from esfem_core.theory.defects import defects, spatial_defects
+    >>> problem = ec.problems.expanding_sphere()
+    >>> terms = temporal_terms_u(space, problem, 2, 1 / 40, 20)
+    >>> whole, limit = defects(space, problem, 2, 1 / 40, 20), spatial_defects(space, problem, 0.5)
+    >>> bool(np.allclose(sum(terms.values()), whole.u - limit.u, rtol=0, atol=1e-12))
+    True
     """
     order, step = _checked(space, problem, order, step)
     n = whole_number("n", n, 0)

@@ -249,6 +249,19 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     TypeError, ValueError
         If there is no exact solution, or the problem is none of the theory, as for
         :func:`defects`.
+
+    Examples
+    --------
+    Those of BDF2 come to them with order two:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> problem, x = ec.problems.expanding_sphere(), space.nodes
+    >>> K, limit = sum(space.mass_stiffness(1.5 * x)), spatial_defects(space, problem, 0.5)
+    >>> def to_limit(n):
+    ...     return dual_norm(K, defects(space, problem, 2, 0.5 / n, n).u - limit.u)
+    >>> print(f"{to_limit(80) / to_limit(160):.1f}")
+    4.0
     """
     constant_diffusivity(problem)
     x, v, u = exact_values(space, problem, t)

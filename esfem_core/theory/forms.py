@@ -136,6 +136,15 @@ def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
     ------
     ValueError
         If an argument has the wrong shape or is not finite.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> x = space.nodes
+    >>> div = divergence(space, x, 0.5 * x)
+    >>> bool(np.allclose(div, 1, rtol=0, atol=1e-12))
+    True
     """
     return np.asarray(np.trace(_velocity_gradient(space, x, v), axis1=-2, axis2=-1))
 
@@ -231,6 +240,15 @@ def stiffness_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
     ------
     ValueError
         As for :func:`divergence`.
+
+    Examples
+    --------
+    The Dirichlet integral does not change when a surface is scaled:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    >>> bool(abs(stiffness_rate(space, space.nodes, space.nodes)).max() < 1e-13)
+    True
     """
     return stiffness(space, x, deformation(space, x, v))
 

@@ -38,6 +38,11 @@ def bat_space(refinements: int, degree: int = 1, turned: bool = False) -> ec.Sur
 
     Its edges lie on the plane x1 = 0 and its vertices at the poles, unless the mesh is turned
     about an axis that is in no plane of symmetry.
+
+    Parameters
+    ----------
+    refinements, degree : int
+    turned : bool
     """
     tri = ec.sphere("octahedron", refinements)
     if turned:
@@ -46,7 +51,17 @@ def bat_space(refinements: int, degree: int = 1, turned: bool = False) -> ec.Sur
 
 
 def exact(space: ec.SurfaceSpace, times: Sequence[float]) -> list[Array]:
-    """Nodal values of the solution from u0 = x1 x2, to about 1e-6 of its size."""
+    """Nodal values of the solution from u0 = x1 x2, to about 1e-6 of its size.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    times : sequence of float
+
+    Returns
+    -------
+    list of (N,) float array
+    """
     return [u(space.nodes) for u in _profiles(tuple(times))]
 
 
@@ -66,13 +81,39 @@ def _profiles(times: tuple[float, ...]) -> list[Any]:
 def small_steps(
     space: ec.SurfaceSpace, problem: ec.Problem, small: float, large: float, end: float = 1.0
 ) -> list[ec.State]:
-    """The paper's reference, BDF1 with small steps, at the multiples of the large step."""
+    """The paper's reference, BDF1 with small steps, at the multiples of the large step.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+    small, large : float
+        Steps; `large` is a multiple of `small`.
+    end : float
+
+    Returns
+    -------
+    list of State
+    """
     run = ec.evolve(space, problem, 1, small, end)
     return list(islice(run, 0, None, round(large / small)))
 
 
 def reference_at(space: ec.SurfaceSpace, results: Mapping[str, Any], t: float) -> ec.State:
-    """The reference at a time that :func:`figure_4` was asked to keep."""
+    """The reference at a time that :func:`figure_4` was asked to keep.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+        Of the run.
+    results : mapping
+        What :func:`figure_4` returned.
+    t : float
+
+    Returns
+    -------
+    State
+    """
     u = np.array(results[f"u_{t:g}"]) * UNIT * results[f"max_{t:g}"]
     return ec.State(t, _motion()(space.nodes, t), None, u)
 
@@ -89,6 +130,20 @@ def large_steps(
     The last of them is at 0.15 for p up to 4, so that 0.2 is the first value computed. BDF5, which
     the paper does not show here, needs the one at 0.2 as well. Starting states are part of the
     list.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+    order : int
+    large : float
+        The step.
+    reference : sequence of State
+        From :func:`small_steps`.
+
+    Returns
+    -------
+    list of State
     """
     last = max(order, 4)
     return list(ec.evolve(space, problem, order, large, 1.0, start=reference[last - order : last]))
@@ -100,6 +155,15 @@ def figure_4(
     """Figure 4 in numbers: relative distances in L2 between its runs, at the large steps.
 
     A second component with u0 = 1 + x1 x2, whose integral is not zero, runs along.
+
+    Parameters
+    ----------
+    refinements : int
+        See :func:`bat_space`.
+    small, large : float
+        Steps of the paper's reference and of its runs.
+    keep : sequence of float
+        Times at which the reference is kept.
 
     Returns
     -------
@@ -174,6 +238,17 @@ def time_errors(
 
     Its states from the time `begin` on are also the starting values.
 
+    Parameters
+    ----------
+    refinements : int
+        See :func:`bat_space`.
+    order : int
+        p.
+    steps : sequence of float
+        Multiples of 1/160.
+    begin : float
+        A multiple of 1/160.
+
     Returns
     -------
     dict
@@ -201,6 +276,12 @@ def _fine_run(refinements: int) -> tuple[ec.SurfaceSpace, list[ec.State]]:
 
 def space_errors(degree: int, turned: bool, refinements: int, step: float) -> dict[str, Any]:
     """Error of a mesh at t = 1, BDF5, against nodal values of the solution without a mesh.
+
+    Parameters
+    ----------
+    degree, turned, refinements
+        See :func:`bat_space`.
+    step : float
 
     Returns
     -------
@@ -234,6 +315,17 @@ def run_times(
     The reference is cut into pieces of equally many steps, and after each of them each of the cheap
     runs is timed once. Their starting values, which the paper takes from the reference, are not
     counted.
+
+    Parameters
+    ----------
+    refinements : int
+        See :func:`bat_space`.
+    small, large : float
+        Steps of the reference and of the cheap runs.
+    orders : sequence of int
+        p of the cheap runs.
+    pieces : int
+        Divides the number of steps of the reference.
 
     Returns
     -------
