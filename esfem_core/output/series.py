@@ -1,13 +1,10 @@
-"""Runs on disk for other programs: curved elements for ParaView, numbers for spreadsheets.
+"""Runs on disk for ParaView, with curved elements.
 
 A VTU file is written without a library, since that of VTK is large and meshio does not escape
 names; both read it back in the tests.
 """
 
 import base64
-import csv
-import errno
-import io
 import math
 import os
 import re
@@ -15,7 +12,6 @@ import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from html import escape
-from numbers import Integral, Rational, Real
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,11 +19,11 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from esfem_core.checks import flag, iterable, mapping, object_of, output_path, shown
+from esfem_core.checks import flag, iterable, object_of, output_path
 from esfem_core.output.curved import nodal_normals
 from esfem_core.stepping import State, check_state, known_space, write_whole
 
-__all__ = ["SeriesWriter", "TableWriter", "save_series", "save_table"]
+__all__ = ["SeriesWriter", "save_series"]
 
 LAGRANGE_TRIANGLE = 69  # VTK_LAGRANGE_TRIANGLE, of any degree
 TYPES = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}
@@ -207,124 +203,6 @@ def save_series(
     return last
 
 
-class TableWriter:
-    """Writes rows of numbers to a CSV file, each when it comes.
-
-    Parameters
-    ----------
-    path : path
-        Ends with ".csv"; a file that is there is replaced with the first row.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     table = TableWriter(f"{folder}/run.csv")
-    ...     table.write({"t": 0.1, "centre": np.array([0.0, 0.5]), "amounts": {"u": 2.0}})
-    ...     print(Path(folder, "run.csv").read_text())
-    t,centre_0,centre_1,amounts_u
-    0.1,0.0,0.5,2.0
-    """
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = output_path("path", path, (".csv",))
-        self._columns: list[str] | None = None
-
-    def write(self, row: Any) -> None:
-        """Add a row.
-
-        Parameters
-        ----------
-        row : NamedTuple or mapping of str to number, text, None, array or mapping
-            Such as ``ec.measure(state)``. Arrays and mappings get a column for each entry; all
-            digits are written.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it is neither, holds something else, has two columns of one name, or other columns
-            than the first row.
-        OSError
-            If it cannot be written: the file is whole up to the row before.
-        """
-        self._write("row", row)
-
-    def _write(self, called: str, row: Any) -> None:
-        named = row._asdict() if hasattr(row, "_asdict") else row
-        cells: dict[str, Any] = {}
-        for name, entry in _cells(called, mapping(called, named, "numbers")):
-            if name in cells:
-                raise ValueError(f"{called} must have different columns, got two called {name!r}")
-            _check_for_utf8(called, name, name)
-            _check_for_utf8(called, name, entry)
-            cells[name] = entry
-        if not cells:
-            raise ValueError(f"{called} must have at least one column, got {shown(row)}")
-        if self._columns is not None and self._columns != list(cells):
-            raise ValueError(
-                f"rows must all have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
-            )
-        text = io.StringIO()
-        lines = csv.writer(text, lineterminator="\n")
-        if self._columns is None:
-            lines.writerow(cells)
-        lines.writerow(cells.values())
-        if self._columns is None:
-            write_whole(self.path, text.getvalue().encode())
-        else:
-            _append(self.path, text.getvalue().encode())
-        self._columns = list(cells)
-
-
-def _append(path: Path, data: bytes) -> None:
-    """Add to a file, all or nothing."""
-    size = path.stat().st_size
-    try:
-        with path.open("ab", buffering=0) as file:
-            if file.write(data) < len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    except OSError as error:
-        os.truncate(path, size)
-        reason = f"{error.strerror}; it is whole up to the row before: make room, and write again"
-        raise OSError(error.errno, reason, str(path)) from error
-
-
-def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
-    """Write rows of numbers to a CSV file as they come.
-
-    Parameters
-    ----------
-    path : path
-        Ends with ".csv".
-    rows : iterable
-        See :meth:`TableWriter.write`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `path` ends otherwise, there is no row, or rows have different columns.
-    FileNotFoundError, PermissionError
-        If the directory does not exist, or cannot be written to.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save_table(f"{folder}/areas.csv", ({"t": t, "area": t**2} for t in (1.0, 2.0)))
-    ...     print(Path(folder, "areas.csv").read_text())
-    t,area
-    1.0,1.0
-    2.0,4.0
-    """
-    writer = TableWriter(path)
-    empty = True
-    for i, row in enumerate(iterable("rows", rows, "NamedTuples or mappings")):
-        writer._write(f"rows[{i}]", row)
-        empty = False
-    if empty:
-        raise ValueError("rows must hold at least one row, got none")
-
-
 def _functions(state: State) -> str:
     """Names and shapes of the functions of a state, as a message shows them."""
     return ", ".join(f"{n!r} {('N', *w.shape[1:])}" for n, w in state.fields.items()) or "none"
@@ -353,18 +231,6 @@ def _check_for_xml(name: str, text: str) -> None:
     """Refuse a name that no reader of the file would get back."""
     if not text or NOT_IN_XML.search(text):
         raise ValueError(f"{name} must be of characters that XML can hold, got {text!r}")
-
-
-def _check_for_utf8(called: str, column: str, entry: Any) -> None:
-    """Refuse text that no file can hold."""
-    try:
-        if isinstance(entry, str):
-            entry.encode()
-    except UnicodeEncodeError:
-        raise ValueError(
-            f"{called} must hold text of whole characters, but column {column!r} has {entry!r}: "
-            "half a character, which files cannot hold"
-        ) from None
 
 
 def _first_free(stem: str, names: Iterable[str]) -> int:
@@ -445,25 +311,3 @@ def _data_array(name: str, values: NDArray[Any]) -> str:
         f'<DataArray type="{TYPES[values.dtype.str[1:]]}" Name="{escape(name)}" {components}{size}'
         f'format="binary">\n{text.decode()}\n</DataArray>'
     )
-
-
-def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
-    """Columns and their entries: numbers of Python, which csv writes with all digits, and text."""
-    for name, value in row.items():
-        if isinstance(value, Mapping):
-            yield from _cells(called, {f"{name}_{key}": entry for key, entry in value.items()})
-        elif np.ma.isMaskedArray(value):
-            raise TypeError(
-                f"{called} must hold numbers, but {name!r} is masked: its holes have none"
-            )
-        elif isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
-            yield from _cells(called, {f"{name}_{i}": entry for i, entry in enumerate(value)})
-        else:
-            entry = value.item() if isinstance(value, np.generic | np.ndarray) else value
-            if not isinstance(entry, Real | str | None):
-                raise TypeError(
-                    f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
-                )
-            if isinstance(entry, Rational) and not isinstance(entry, Integral):
-                entry = float(entry)  # programs take 1/3 for text or a date
-            yield name, entry
