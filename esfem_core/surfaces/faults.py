@@ -49,7 +49,9 @@ def check_is_trimesh(name: str, value: object) -> None:
     """
     if isinstance(value, trimesh.Trimesh):
         return
-    if hasattr(value, "geometry") or hasattr(value, "points"):  # scenes; meshio, PyVista
+    if isinstance(value, trimesh.Scene) or any(
+        hasattr(value, name) for name in ("cells_dict", "triangulate", "extract_surface")
+    ):  # of trimesh, meshio and PyVista
         raise TypeError(
             f"{name} must be a trimesh.Trimesh, got a {type(value).__name__}; "
             f"{name} = ec.read_mesh({name}) converts it"

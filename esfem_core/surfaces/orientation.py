@@ -318,10 +318,14 @@ def _depths(vertices: Array, faces: Ints, label: Ints, low: Array, high: Array) 
     sizes = np.diff(ends, prepend=0)
     picked = (ends - sizes)[:, None] + (np.arange(PROBES) * sizes[:, None]) // PROBES
     probes = vertices[faces[order[picked]]].mean(axis=2)  # (C, PROBES, 3), centres of triangles
+    # A box inside another begins there in x, too: of thousands of parts few are compared.
+    in_x = np.argsort(low[:, 0], kind="stable")
+    begin = np.searchsorted(low[in_x, 0], low[:, 0], "left")
+    end = np.searchsorted(low[in_x, 0], high[:, 0], "right")
     for outer in range(count):
-        inside = ((low[outer] <= low) & (high <= high[outer])).all(axis=1)
-        inside[outer] = False
-        inner = np.flatnonzero(inside)
+        near = in_x[begin[outer] : end[outer]]
+        near = near[near != outer]
+        inner = near[((low[outer] <= low[near]) & (high[near] <= high[outer])).all(axis=1)]
         if len(inner):
             own = faces[order[ends[outer] - sizes[outer] : ends[outer]]]
             w = winding_numbers(probes[inner].reshape(-1, 3), vertices, own)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 from broken_meshes import BROKEN, SPHERE, joined, klein_bottle, mesh, turned
+from scipy.spatial import ConvexHull
 
 import esfem_core as ec
+from esfem_core.surfaces.orientation import shells
 
 
 def message(tri):
@@ -66,6 +68,19 @@ def test_a_cavity_is_oriented_inwards_and_an_island_in_it_outwards():
     assert "component 1 of 2, with triangle 80, lies inside 1 other: it is a cavity" in message(
         wrong
     )
+
+
+def test_depths_are_counted_in_every_order_of_the_components():
+    radii, places = [1, 0.5, 0.2, 0.1, 1, 0.3], [0, 0, 0.1, 0.35, 3, 3.2]
+    parts = [
+        mesh(r * SPHERE.vertices + [x, 0, 0], SPHERE.faces)
+        for r, x in zip(radii, places, strict=True)
+    ]
+    depths = np.array([0, 1, 2, 2, 0, 1])
+    for order in (np.arange(6), np.arange(6)[::-1], np.array([2, 5, 0, 3, 4, 1])):
+        tri = joined(*(parts[i] for i in order))
+        found = shells(np.asarray(tri.vertices), np.asarray(tri.faces))
+        np.testing.assert_array_equal(found.depth, depths[order])
 
 
 @pytest.mark.parametrize(("small", "large"), [(0.5, 1.0), (1.0, 0.5)])
@@ -155,6 +170,9 @@ def test_only_trimesh_is_taken_and_the_conversion_is_said():
         ec.check_triangulation(([], []))
     with pytest.raises(TypeError, match=r"got a Scene; tri = ec\.read_mesh\(tri\) converts it"):
         ec.SurfaceSpace(trimesh.Scene([SPHERE]))
+    for other in (ConvexHull(SPHERE.vertices), SPHERE.voxelized(0.5)):  # read_mesh takes neither
+        with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh, got (?!.*read_mesh)"):
+            ec.SurfaceSpace(other)
 
 
 def test_messages_and_repairs_need_numpy_scipy_and_trimesh_only():
