@@ -423,8 +423,8 @@ class SurfaceSpace:
         Raises
         ------
         ValueError, TypeError
-            If `x` has another shape, or the function does not return one row of finite real
-            numbers for each point.
+            If `x` has another shape or is not finite, or the function does not return one row of
+            finite real numbers for each point.
 
         Examples
         --------
@@ -433,7 +433,7 @@ class SurfaceSpace:
         >>> space.interpolate(lambda x: x[:, 2] ** 2, space.nodes).max()
         np.float64(1.0)
         """
-        x = real_array("x", x, self.nodes.shape)
+        x = finite_array("x", x, self.nodes.shape)
         if not callable(function):
             raise TypeError(f"function must be a function of points (N, 3), got {shown(function)}")
         values = finite_array("function(x)", function(x.copy()), (len(x), "..."))

@@ -289,7 +289,8 @@ def checked_values(given: Field, x: Array, shape: tuple[int, ...], name: str) ->
     returned = given(x.copy())
     if name == "d" and getattr(returned, "dtype", None) in (np.float32, np.float16):
         raise ValueError(_in_single_precision(str(returned.dtype)))
-    values = real_array(f"values of {name}", returned, (len(x), *shape))
+    # A copy: the function may return one array each time.
+    values = np.array(real_array(f"values of {name}", returned, (len(x), *shape)))
     bad = ~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim)))
     if bad.any():
         i = int(np.argmax(bad))

@@ -152,6 +152,11 @@ def test_integrals_of_components_and_numbers():
             r"x must have shape \(66, 3\), got \(65, 3\)",
         ),
         (
+            lambda s: s.interpolate(lambda x: 1 + 0 * x[:, 0], np.full((66, 3), np.nan)),
+            ValueError,
+            r"x must be finite, but x\[0, 0\] is nan",
+        ),
+        (
             lambda s: s.integrate(s.nodes, np.ones(66)),
             ValueError,
             r"values must have shape \(32, 6, \.\.\.\), got \(66,\)",
