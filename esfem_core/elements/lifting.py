@@ -84,8 +84,9 @@ def squared_differences(
     def on_surface(points: Array) -> tuple[Array, Array]:
         """Closest points and the function there, for points of the reference triangle."""
         near = (tabulate(degree, points).values @ nodes).reshape(-1, 3)
-        y = real_array("values of closest", closest(near), near.shape)
-        f = real_array("values of function", function(y), (len(y), m))
+        # Copies: the next call may write into the array that this one returns.
+        y = np.array(real_array("values of closest", closest(near), near.shape))
+        f = np.array(real_array("values of function", function(y.copy()), (len(y), m)))
         shape = (len(nodes), len(points), -1)
         return y.reshape(shape), f.reshape(shape)
 

@@ -61,6 +61,44 @@ def test_integrals_over_the_exact_surface_are_exact_however_coarse_the_mesh():
     np.testing.assert_allclose(h1, [0, 8 / 3 * np.pi * r**2], rtol=1e-10, atol=1e-20)
 
 
+def reused(function):
+    """The function, which writes its values into one array for each shape."""
+    arrays = {}
+
+    def written(*given):
+        values = function(*given)
+        array = arrays.setdefault(values.shape, values)
+        array[...] = values
+        return array
+
+    return written
+
+
+@pytest.mark.parametrize("name", ["x", "v", "u", "closest", "origin"])
+def test_an_exact_solution_may_return_the_same_array_each_time(name):
+    """A difference of an array and itself is zero, as if the solution had no error."""
+    space, exact = space_of(1), PROBLEM.exact
+    x, v, fields = exact.nodal(space.nodes, 0.3)
+    state = ec.State(0.3, 1.01 * x, v + x, 1 + fields["u"])
+    given = {field: getattr(exact, field) for field in ("x", "v", "u", "closest", "origin")}
+    again = ec.Problem(1.0, exact=ec.Exact(**{**given, name: reused(given[name])}))
+    assert ec.errors.lifted(space, again, state) == ec.errors.lifted(space, PROBLEM, state)
+
+
+def test_functions_on_the_exact_surface_may_write_into_their_points():
+    space = space_of(1)
+
+    def squared(y):
+        y *= y
+        return y
+
+    w = np.zeros_like(space.nodes)
+    given = (space, space.nodes, ec.to_unit_sphere, w)
+    expected = squared_differences(*given, lambda y: y * y)
+    for found in (squared_differences(*given, f) for f in (squared, reused(lambda y: y * y))):
+        np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("t", [0.3, 0.9])
 def test_lifted_and_unlifted_norms_agree_up_to_the_geometry_error(t):
     """Their ratio is 1 + O(h^2): the error's gradient is that on another tangent plane."""
