@@ -95,8 +95,9 @@ def derivative(
     array([2., 4.])
     """
     t, h = number("t", t), number("step", step, above=0)
+    # A copy: the second call may write into the array that the first one has returned.
     parts = [
-        w * (np.asarray(function(t + j * h)) - np.asarray(function(t - j * h)))
+        w * (np.array(function(t + j * h)) - np.asarray(function(t - j * h)))
         for j, w in central_stencil(order)
         if j > 0
     ]

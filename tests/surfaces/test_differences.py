@@ -42,6 +42,16 @@ def test_values_keep_their_shape():
     np.testing.assert_allclose(found, matrix, rtol=1e-13)
 
 
+def test_a_function_may_return_the_same_array_each_time():
+    array = np.zeros(2)
+
+    def written(s):
+        array[:] = s, s * s
+        return array
+
+    np.testing.assert_allclose(derivative(written, 3.0), [1, 6], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
