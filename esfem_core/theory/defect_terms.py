@@ -188,7 +188,8 @@ def spatial_terms_u(
     """The spatial part of M d_u, term by term as in [N] 6.2, at x_* = x_*(t).
 
     The exact weak form, tested with lifts, is subtracted; so all terms but the last add up to
-    :func:`esfem_core.theory.defects.spatial_defects` if u solves the equation on the surface.
+    :func:`esfem_core.theory.defects.spatial_defects`, up to the error of quadrature (give the space
+    a high `exactness`), if u solves the equation on the surface.
 
     Parameters
     ----------
@@ -266,7 +267,7 @@ def _exact_at(problem: Problem, field: Field, onto: Lift, t: float) -> _Exact:
     def along(of: Callable[[Array], Array], e: Array) -> Array:
         return derivative(lambda s: of(y + s * e))
 
-    v = finite_array("field.v(x, t)", field.v(y, t), y.shape)
+    v = np.array(finite_array("field.v(x, t)", field.v(y, t), y.shape))  # v is called again
     return _Exact(
         u=u(y, t),
         grad_u=apply(tangential, slope(lambda z: u(z, t))),
