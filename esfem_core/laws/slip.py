@@ -59,8 +59,8 @@ class Elastic:
 
     On an ellipsoid that is sheared or stretched to three times its length, angles stay twice to
     three times as large as without; with ``area=0`` angles are a little better, but triangles
-    crowd. One system is solved per step, and three more for normals unless the law has them, with
-    matrices that never change.
+    crowd. One system is solved per step, and three more for normals unless the law has them, as
+    vectors "normal" among its functions, with matrices that never change.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ class Elastic:
     def __call__(self, at: Surface) -> Array:
         """Velocity w of the nodes, (N, 3)."""
         first = self._reference(at.space)
-        n = at.fields.get("normal")  # of mean curvature flow
-        if n is None:
+        n = at.fields.get("normal")  # of a law, such as mean curvature flow
+        if n is None or n.shape != at.x.shape:
             n = first.smoothed(nodal_average(at, at.normal))
         n = n / np.linalg.norm(n, axis=1, keepdims=True)
         force = first.A @ at.x

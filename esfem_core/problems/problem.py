@@ -14,6 +14,7 @@ from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial
 __all__ = ["Exact", "Problem", "at_points"]
 
 RESERVED = ("x", "v")  # names of positions and velocities
+NORMAL = "normal"  # the name under which a law may carry the normal
 
 
 class _Functions(NamedTuple):
@@ -172,7 +173,7 @@ class Problem:
     exact : Exact, optional
         Exact solution, for starting values and errors.
     species : mapping of str to Species, optional
-        Instead of u0, f and diffusivity.
+        Instead of u0, f and diffusivity. Any names but "x", "v" and "normal".
     law : Law, optional
         Instead of g, alpha, beta and motion.
 
@@ -312,4 +313,9 @@ def _check_names(species: Mapping[str, Species], law: Law) -> None:
         if name in carried:
             raise ValueError(
                 f"the law has a function {name!r} of its own: give the species another name"
+            )
+        if name == NORMAL:
+            raise ValueError(
+                f"a species must have another name than {name!r}: slips and remeshed take that for "
+                "the normal of the surface, which only a law can carry"
             )

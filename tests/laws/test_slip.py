@@ -158,6 +158,16 @@ def test_orders_in_time_with_the_built_in_slips(slip):
             assert order == pytest.approx(p, abs=0.45), (p, name)
 
 
+def test_a_normal_of_the_law_is_vectors():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    x, slip = space.nodes * [1.5, 1, 1], ec.laws.Elastic()
+    own = slip(ec.Surface(space, x))
+    scalar = slip(ec.Surface(space, x, {"normal": x[:, 0]}))
+    np.testing.assert_array_equal(scalar, own)
+    vectors = slip(ec.Surface(space, x, {"normal": x}))
+    assert abs((vectors * x).sum(axis=1)).max() < 1e-12 < abs((own * x).sum(axis=1)).max()
+
+
 def test_refused():
     law = ec.laws.Regularised()
     with pytest.raises(ValueError, match='w must be "elastic" or "harmonic", got \'smooth\''):

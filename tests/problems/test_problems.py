@@ -210,6 +210,13 @@ def test_species_are_not_called_like_positions_and_velocities(name):
         ec.Problem(species={name: ONE})
 
 
+def test_a_species_is_not_called_like_the_normal_for_which_slips_and_remeshed_would_take_it():
+    with pytest.raises(ValueError, match="a species must have another name than 'normal': slips"):
+        ec.Problem(species={"normal": ONE})
+    with pytest.raises(ValueError, match="the law has a function 'normal' of its own"):
+        ec.Problem(species={"normal": ONE}, law=ec.laws.MeanCurvature())
+
+
 def test_species_are_species_and_not_those_of_the_law():
     with pytest.raises(TypeError, match=r"species\['c'\] must be a Species, got 1\.0"):
         ec.Problem(species={"c": 1.0})
