@@ -142,7 +142,8 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
         ``Prescribed(velocity=v)`` the nodes are no longer exact, but of order p.
     w : callable or {"elastic", "harmonic"}
         ``w(at)`` on a :class:`esfem_core.Surface`: (N, 3), the tangential velocity of the nodes
-        against the particles. A normal part would move the surface. "elastic" keeps angles
+        against the particles. A normal part would move the surface. It is explicit, with the
+        largest steps that :class:`esfem_core.Species` states for transport. "elastic" keeps angles
         and sizes of the triangles near those at the start, "harmonic" angles only: ``Elastic()``
         and ``Elastic(area=0)``, see there.
 

@@ -73,9 +73,15 @@ class Species:
     flux are those of the extrapolated surface and functions; u itself is implicit, so that a large
     rate needs no small step, while a source -k u is stable for k tau < 2, 4/3, 20/21, 32/45,
     256/465 (p = 1, ..., 5) only. A flux c grad u is explicit, too: a method is stable for every
-    step if abs(c) < D/(2^p - 1), and is not if c < -D/(2^p - 1). D = 0 is well posed, but a
-    conserved species then feels the divergence of the interpolated velocity undamped: its order in
-    space is k in L2.
+    step if abs(c) < D/(2^p - 1), and is not if c < -D/(2^p - 1). So is transport, a flux u a or a
+    slip w = -a of the nodes: it is stable on every mesh for tau abs(a)^2 < 2 D, 1.22 D, 0.46 D,
+    0.15 D, 0.046 D (p = 1, ..., 5). Where D is smaller take p = 3 or 4, which are stable for
+    tau omega < 0.63, 0.54 as well, with a frequency omega of about 2.4, 6.5, 11 times abs(a)/h for
+    k = 1, 2, 3; p = 1, 2 and 5 have no such range. A velocity that the nodes follow,
+    ``laws.Prescribed(velocity=a)``, has no limit of this kind.
+
+    D = 0 is well posed, but a conserved species then feels the divergence of the interpolated
+    velocity undamped: its order in space is k in L2.
 
     At a boundary with conormal mu the natural condition is mu . (D grad u - flux) = 0: nothing
     passes, and without source the amount of a conserved species is kept. With `fixed`, u itself is

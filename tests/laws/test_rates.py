@@ -1,7 +1,8 @@
 """A rate is taken implicitly: stable for every step, of the order of the scheme.
 
 The same as an explicit source has a largest step, derived here from the characteristic polynomial
-delta(z) + k tau z gamma(z), whose root reaches the unit circle at z = -1.
+delta(z) + k tau z gamma(z), whose root reaches the unit circle at z = -1. Transport
+is explicit, too, and its limits are those of roots of the same kind.
 """
 
 import numpy as np
@@ -52,6 +53,47 @@ def test_an_explicit_source_blows_up_beyond_its_limit_and_not_below(p):
             sizes = [np.abs(state.u).max() for state in run]
             assert max(sizes) < 10
             assert sizes[-1] < 1e-6
+
+
+def growth(p, y, z=0.0):
+    """Of a wave of length 1/q in a step, y = tau a q of it explicit and z = tau D q^2 implicit."""
+    coefficients = ec.bdf.delta(p).astype(complex)
+    coefficients[0] += z
+    coefficients[1:] -= 1j * y * ec.bdf.gamma(p)
+    return abs(np.roots(coefficients)).max()
+
+
+@pytest.mark.parametrize(("p", "limit"), [(1, 2), (2, 1.22), (3, 0.46), (4, 0.15), (5, 0.046)])
+def test_explicit_transport_beside_diffusion_is_stable_up_to_the_documented_limit(p, limit):
+    """Of tau a^2/D = y^2/z, whatever the length of the wave."""
+    waves = np.geomspace(0.03, 30, 150)
+    assert max(growth(p, y, y * y / limit) for y in waves) <= 1
+    assert max(growth(p, y, y * y / (1.05 * limit)) for y in waves) > 1 + 1e-6
+
+
+@pytest.mark.parametrize(("p", "limit"), [(3, 0.63), (4, 0.54)])
+def test_explicit_transport_without_diffusion_is_stable_for_three_and_four_steps(p, limit):
+    assert max(growth(p, y) for y in np.linspace(0.05, limit, 60)) <= 1
+    assert growth(p, limit + 0.02) > 1 + 1e-3
+
+
+@pytest.mark.parametrize("p", [1, 2, 5])
+def test_explicit_transport_without_diffusion_grows_for_other_methods(p):
+    assert all(growth(p, y) > 1 + 1e-9 for y in (0.05, 0.1, 0.3))
+
+
+def turning(at):
+    return np.cross([0, 0, 1], at.points)
+
+
+@pytest.mark.parametrize(("k", "documented"), [(1, 2.4), (2, 6.5), (3, 11)])
+def test_the_documented_frequencies_of_transport(k, documented):
+    """In units of |a|/h, on a mesh of two sizes of triangles."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), k, ec.to_unit_sphere)
+    at, unit = ec.Surface(space, space.nodes), np.eye(len(space.nodes))
+    C = [at.load(None, space.evaluate(e)[..., None] * turning(at)) for e in unit]
+    omega = abs(np.linalg.eigvals(np.linalg.solve(at.M.toarray(), np.transpose(C)))).max()
+    assert omega * space.mesh_size(space.nodes) == pytest.approx(documented, rel=0.25)
 
 
 @pytest.mark.parametrize("p", ORDERS)
