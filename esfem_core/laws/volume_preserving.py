@@ -35,6 +35,9 @@ __all__ = ["VolumePreserving"]
 class VolumePreserving(Law):
     """The law with g - lambda(t) in place of g, where lambda keeps the enclosed volume.
 
+    lambda is one number: of a surface with several components the sum of the volumes stays, and
+    large ones grow at the cost of small ones.
+
     Parameters
     ----------
     law : Regularised or MeanCurvature

@@ -62,6 +62,30 @@ def vars_of(law):
     return {name: getattr(law, name) for name in names if name in law.__dataclass_fields__}
 
 
+def test_of_two_spheres_the_large_one_grows_at_the_cost_of_the_small_one():
+    """R' = lambda - 2/R for both radii, with one lambda."""
+    far, radii = np.array([3.0, 0, 0]), np.array([1.0, 0.7])
+    small = ec.sphere("icosahedron", 1).apply_scale(0.7).apply_translation(far)
+
+    def project(x):
+        large = x[:, :1] < 1.5
+        onto = ec.to_unit_sphere(np.where(large, x, x - far))
+        return np.where(large, onto, far + 0.7 * onto)
+
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1) + small, 2, project)
+    problem = ec.Problem(law=ec.laws.VolumePreserving(ec.laws.MeanCurvature()))
+    first, *_, last = ec.evolve(space, problem, 2, 1 / 200, 0.03)
+    for _ in range(300):  # Euler steps for the radii
+        radii = radii + 1e-4 * (2 * radii.sum() / (radii @ radii) - 2 / radii)
+    on_small = space.nodes[:, 0] > 1.5
+    found = [
+        np.linalg.norm(last.x[i] - c, axis=1).mean() for i, c in ((~on_small, 0), (on_small, far))
+    ]
+    np.testing.assert_allclose(found, radii, atol=5e-3)
+    assert found[1] < 0.69 < 1.005 < found[0]
+    assert ec.measure(last).volume == pytest.approx(ec.measure(first).volume, rel=1e-4)
+
+
 def test_a_sphere_stays_where_it_is():
     """Each law alone would shrink it."""
     sphere = ec.exact_surfaces.Sphere()
