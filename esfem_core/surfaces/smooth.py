@@ -24,7 +24,7 @@ import numpy as np
 import trimesh
 
 from esfem_core.checks import Array, Ints, finite_array, number
-from esfem_core.surfaces.check import check_triangulation
+from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.faults import fans
 from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.graphs import Graphs, fit_graphs
@@ -58,7 +58,9 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
     Parameters
     ----------
     tri : trimesh.Trimesh
-        Closed, oriented outwards. Its vertices are kept: if they are noisy, so is the surface.
+        Closed, oriented outwards. Its vertices are kept: if they are noisy, so is the surface. For
+        a mesh with holes close them first, ``ec.repair(tri, holes=n)`` up to n edges: the result is
+        a `project` for the open mesh as well.
     crease : float
         In degrees, 0 to 180. Edges at which normals of triangles differ by more stay sharp, and
         no fit uses points beyond them. A body with flat sides remains what it is. 180 rounds all
@@ -89,9 +91,22 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
     0.9987
     1.0000
     """
-    check_triangulation(tri)
+    _check_closed(tri)
     crease = number("crease", crease, least=0, most=180)
     return SmoothSurface(np.array(tri.vertices, float), np.array(tri.faces, np.int64), crease)
+
+
+def _check_closed(tri: trimesh.Trimesh) -> None:
+    """Refuse an unfit mesh; of one with holes say how it has a smooth surface, too."""
+    try:
+        check_triangulation(tri)
+    except ValueError as error:
+        if not boundary_advice(np.array(tri.vertices), np.array(tri.faces)):
+            raise
+        raise ValueError(
+            f"{error}, and with project = ec.smooth(closed), of the mesh with its holes closed, "
+            "ec.SurfaceSpace(tri, 2, project, boundary=True) puts nodes on that smooth surface"
+        ) from None
 
 
 class SmoothSurface:

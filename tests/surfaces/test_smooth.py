@@ -284,6 +284,22 @@ def test_what_is_refused(arguments, error, message):
         ec.smooth(*arguments)
 
 
+def test_a_mesh_with_a_hole_has_the_smooth_surface_of_the_closed_one():
+    tri = ec.sphere("icosahedron", 2)
+    tri.update_faces(tri.triangles_center[:, 2] < 0.6)
+    tri.remove_unreferenced_vertices()
+    with pytest.raises(
+        ValueError, match=r"holes=24.*project = ec\.smooth\(closed\).*boundary=True"
+    ):
+        ec.smooth(tri)
+    project = ec.smooth(ec.repair(tri, holes=24, report=None))
+    space = ec.SurfaceSpace(tri, 2, project, boundary=True)
+    assert len(space.boundary_nodes) == 48
+    assert_allclose(np.linalg.norm(space.nodes, axis=1), 1, atol=5e-3)
+    flat = ec.SurfaceSpace(tri, 2, boundary=True).nodes
+    assert abs(np.linalg.norm(flat, axis=1) - 1).max() > 0.01
+
+
 def test_points_must_be_finite_and_of_three_coordinates():
     surface = ec.smooth(ec.sphere(refinements=1))
     with pytest.raises(ValueError, match=r"points must be finite, but points\[0, 1\] is nan"):
