@@ -312,7 +312,7 @@ def doors() -> list[Door]:
         Door("MeanCurvature, run", run_law(ec.laws.MeanCurvature),
              {"normal": returning(lambda x: x, instead=(None,)),
               "curvature": returning(lambda x: 2 + 0 * x[:, 0], called=("H",), instead=(None,)),
-              "g": returning(lambda x, t: 0 * x[:, 0], instead=(None,))}),
+              "g": returning(lambda x, t: 0 * x[:, 0], constant=True, instead=(None,))}),
         Door("Dynamic", ec.laws.Dynamic,
              {"v0": Argument(0.0, "listed", ["a", [], {}, object(), True, None, NAN, [1.0, 2.0],
                                              np.ones((2, 3, 4)), 1j]),

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, frozen, function, number
+from esfem_core.checks import Array, finite_array, frozen, function, number, real_array
 from esfem_core.elements import (
     Surface,
     nodal_average,
@@ -61,7 +61,8 @@ class MeanCurvature(Law):
         Weight of the mean curvature H, positive.
     g : callable, optional
         Speed along the normal: ``g(x, t)`` at points (N, 3), returning (N,); or ``g(at)`` on a
-        :class:`esfem_core.Surface`, (T, Q), which may depend on species. Its gradient is that of
+        :class:`esfem_core.Surface`, (T, Q), which may depend on species; or a number, which holds
+        everywhere. Its gradient is that of
         a finite element function: of the nodal values of g(x, t), or of the nodal averages of
         g(at), see :func:`esfem_core.elements.recovery.nodal_average`. Two arguments without
         defaults make it g(x, t), one makes it g(at). None is zero.
@@ -170,7 +171,9 @@ class MeanCurvature(Law):
         if self.g is None:
             return None
         if _takes_points(self.g):
-            return finite_nodal("g(x, t)", self.g(at.x.copy(), at.t), (len(at.x),))
+            g = real_array("g(x, t)", self.g(at.x.copy(), at.t), ("...",))
+            shape = (len(at.x),)
+            return finite_nodal("g(x, t)", np.full(shape, g) if g.ndim == 0 else g, shape)
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
 
 

@@ -296,6 +296,19 @@ def test_the_length_of_the_normal_is_at_rest_where_the_surface_is():
     assert abs(length - 1.01).max() < 1e-3  # exp(4) times 0.01 without the division
 
 
+def test_a_speed_that_is_a_number_holds_at_all_points():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    ends = [
+        final(ec.evolve(space, ec.Problem(law=ec.laws.MeanCurvature(1.0, g)), 1, 0.01, 0.02)).x
+        for g in (lambda x, t: 2, lambda x, t: np.full(len(x), 2.0))
+    ]
+    np.testing.assert_array_equal(*ends)
+    for wrong, text in ((None, "None"), ("2", "'2'"), (2j, "2j")):
+        problem = ec.Problem(law=ec.laws.MeanCurvature(1.0, lambda x, t, wrong=wrong: wrong))
+        with pytest.raises(TypeError, match=rf"g\(x, t\) must hold real numbers, got .*{text}"):
+            final(ec.evolve(space, problem, 1, 0.01, 0.02))
+
+
 def test_arguments_without_defaults_tell_functions_of_points_from_those_of_a_surface():
     for wrong, found in ((lambda *given: 0.0, "none"), (lambda x, t, u: 0.0, "3")):
         message = rf"g must be g\(at\) or g\(x, t\), .* without defaults, got {found}"
