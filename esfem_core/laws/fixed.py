@@ -165,11 +165,20 @@ def _where(given: Any) -> Any:
     return frozen(np.asarray(given))
 
 
+def _check_number(given: Any) -> None:
+    """Refuse what is no number, and say what else there is."""
+    try:
+        number("fixed", given)
+    except TypeError:
+        raise TypeError(f"fixed must be {KINDS}, got {shown(given)}") from None
+
+
 def _values(given: Any) -> Any:
     if isinstance(given, type):
         raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
     if callable(given):
         return given
     if np.ndim(given) == 0:
+        _check_number(given)
         return number("fixed", given)
     return frozen(finite_array("the values of fixed", given, ("B", "...")))

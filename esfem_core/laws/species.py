@@ -16,6 +16,10 @@ from esfem_core.laws.values import values_at
 __all__ = ["Part", "Species", "check_initial"]
 
 NEGATIVE = 1e-12  # eigenvalues of diffusion tensors this far below zero, relatively, are rounding
+UNDERSHOOT = (
+    "where it is a function of u, extrapolated values of u can undershoot: np.maximum(at.u, 0) is "
+    "not negative"
+)
 
 
 class Part(NamedTuple):
@@ -156,6 +160,12 @@ class Species:
             if np.ndim(self.diffusivity) == 0:
                 number("diffusivity", self.diffusivity, least=0)
             else:
+                if np.ndim(self.diffusivity) > 1:
+                    raise ValueError(
+                        "diffusivity must be a number or one for each component, got shape "
+                        f"{np.shape(self.diffusivity)}; a tensor is given by a function of at, "
+                        "returning (T, Q, 3, 3)"
+                    )
                 values = finite_array("diffusivity", self.diffusivity, ("m",))
                 if len(values) == 0 or values.min() < 0:
                     raise ValueError(
@@ -260,7 +270,7 @@ class Species:
             element, point = np.argwhere(values < 0)[0].tolist()
             raise NotFiniteError(
                 f"{name} must not be negative, got {values[element, point]:.6g} in element "
-                f"{element}",
+                f"{element}; {UNDERSHOOT}",
                 element,
             )
         return values
@@ -299,6 +309,6 @@ def _check_definite(D: Array, at: Surface) -> None:
         element = int(np.argmax(bad.any(axis=1)))
         raise NotFiniteError(
             "diffusivity must be positive semidefinite on the tangent planes, but has the "
-            f"eigenvalue {lowest[element].min():.6g} in element {element}",
+            f"eigenvalue {lowest[element].min():.6g} in element {element}; {UNDERSHOOT}",
             element,
         )

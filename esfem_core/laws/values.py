@@ -44,7 +44,10 @@ def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[in
     shapes = [(*points, *shape) for shape in trailing]
     if values.shape not in shapes:
         allowed = " or ".join(map(str, shapes))
-        raise ValueError(f"{name} must return an array of shape {allowed}, got {values.shape}")
+        raise ValueError(
+            f"{name} must return an array of shape {allowed}, got {values.shape}"
+            f"{_advice(values.shape, at, shapes)}"
+        )
     finite = np.isfinite(values)
     if not finite.all():
         element, point = np.argwhere(~finite)[0, :2].tolist()
@@ -55,6 +58,17 @@ def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[in
             element,
         )
     return values
+
+
+def _advice(found: tuple[int, ...], at: Surface, shapes: Sequence[tuple[int, ...]]) -> str:
+    """What makes values of another shape fit, as an end of a message; empty if nothing is known."""
+    if found in [(len(at.x), *shape[2:]) for shape in shapes]:
+        return "; of values F at the nodes, those at the points are at.space.evaluate(F)"
+    for shape in shapes:
+        if found == shape[2:]:
+            lengths = ", ".join(map(str, found))
+            return f"; a constant C is np.broadcast_to(C, (*at.density.shape, {lengths}))"
+    return ""
 
 
 def finite_nodal(name: str, returned: Any, shape: tuple[int, ...]) -> Array:

@@ -52,6 +52,48 @@ def test_a_tensor_that_is_not_symmetric_is_not_called_indefinite():
         species.parts(AT, ())
 
 
+AT_REST = ec.laws.Prescribed(motion=lambda p, t: p)
+
+
+def steps(law=AT_REST, **species):
+    """Two steps on 32 triangles with 66 nodes, for one species if there is something of it."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    given = {"u": ec.Species(1.0, **species)} if species else {}
+    return list(ec.evolve(space, ec.Problem(species=given, law=law), 1, 0.01, 0.02))
+
+
+def test_of_values_at_the_nodes_a_message_says_what_makes_them_values_at_the_points():
+    advice = r"got \(66,\); of values F at the nodes, those .* are at\.space\.evaluate\(F\)$"
+    for given in ("source", "rate", "diffusivity"):
+        with pytest.raises(ValueError, match=advice):
+            steps(**{given: lambda at: at.x[:, 0] ** 2})
+    with pytest.raises(ValueError, match=r"got \(66, 3\); of values F at the nodes"):
+        steps(source=lambda at: (None, at.x))
+    with pytest.raises(ValueError, match=advice):
+        steps(ec.laws.Regularised(g=lambda at: at.x[:, 0]))
+    steps(source=lambda at: at.space.evaluate(at.x[:, 0]))
+    with pytest.raises(ValueError, match=r"got \(65,\)$"):
+        steps(source=lambda at: at.x[1:, 0])
+
+
+def test_of_a_constant_tensor_a_message_says_how_it_is_one_at_each_point():
+    C = np.diag([1.0, 2.0, 3.0])
+    advice = r"a constant C is np\.broadcast_to\(C, \(\*at\.density\.shape, 3, 3\)\)$"
+    with pytest.raises(ValueError, match=advice):
+        steps(diffusivity=lambda at: C)
+    steps(diffusivity=lambda at: np.broadcast_to(C, (*at.density.shape, 3, 3)))
+    with pytest.raises(ValueError, match=r"shape \(3, 3\); a tensor is given by a function of at"):
+        ec.Species(1.0, diffusivity=C)
+
+
+def test_of_a_negative_diffusivity_a_message_says_where_it_can_come_from():
+    """Of a porous medium, D = 2 u, an extrapolated u undershoots by rounding where it is zero."""
+    advice = r"np\.maximum\(at\.u, 0\) is not negative"
+    for D in (lambda at: at.u - 2, lambda at: np.multiply.outer(at.u - 2, np.eye(3))):
+        with pytest.raises(ec.EvolutionError, match=advice):
+            steps(diffusivity=D)
+
+
 def test_a_node_that_is_fixed_twice_is_named():
     species = ec.Species(1.0, fixed=([5, 2, 5], 1.0))
     with pytest.raises(ValueError, match="must not be repeated, but 5 is"):
