@@ -7,6 +7,7 @@ curved ones for :meth:`esfem_core.SurfaceSpace.read`.
 
 import contextlib
 import io
+import itertools
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -48,7 +49,7 @@ BY_TRIMESH = (
 BY_MESHIO = (
     *("avs", "bdf", "cgns", "dat", "dato", "e", "ele", "ex2", "exo", "f3grid", "fem", "h5m", "hmf"),
     *("inp", "mdpa", "med", "mesh", "meshb", "msh", "nas", "node", "post", "su2", "tec"),
-    *("ugrid", "vol", "vtk", "vtu", "wkt", "xdmf", "xmf", "xml"),
+    *("ugrid", "vol", "vtk", "vtu", "xdmf", "xmf", "xml"),
 )
 VTK_CELLS = {5: "triangle", 7: "polygon", 9: "quad", 10: "tetra", 12: "hexahedron", 22: "triangle"}
 VTK_CELLS |= {69: "triangle"}
@@ -310,7 +311,11 @@ def _of_file(path: Path) -> Elements:
             found = _of_scene(path.name, trimesh.load(path, force="scene", process=False))
         else:
             meshio = _meshio(path)
-            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            with (
+                contextlib.redirect_stdout(said),
+                contextlib.redirect_stderr(said),
+                _known_ends(meshio._files, meshio.tetgen._tetgen),
+            ):
                 found = _of_meshio(path.name, meshio.read(path))
     except ImportError as error:
         if error.name == "meshio":
@@ -328,6 +333,36 @@ def _of_file(path: Path) -> Elements:
     if found.unit is None and kind in ("glb", "gltf"):
         found = found._replace(unit="meters")  # by the standard
     return found
+
+
+@contextlib.contextmanager
+def _known_ends(*modules: Any) -> Iterator[None]:
+    """Let meshio open files that say when they end: it waits for ever for lines cut off."""
+    for module in modules:
+        module.open = _ending
+    try:
+        yield
+    finally:
+        for module in modules:
+            del module.open
+
+
+def _ending(path: str, mode: str = "r") -> Any:
+    """A file that cannot be read for ever behind its end."""
+    file: Any = open(path, mode)  # noqa: SIM115 - closed by meshio
+    ends = itertools.count()
+
+    def bounded(read: Callable[..., Any]) -> Callable[..., Any]:
+        def more(*size: int) -> Any:
+            found = read(*size)
+            if not found and next(ends) == 100:  # readers that know the end ask once or twice
+                raise EOFError("the file ends too early")
+            return found
+
+        return more
+
+    file.read, file.readline = bounded(file.read), bounded(file.readline)
+    return file
 
 
 def _unknown(path: Path, kind: str) -> str:
