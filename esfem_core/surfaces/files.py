@@ -30,15 +30,8 @@ from esfem_core.checks import (
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
-from esfem_core.surfaces.repair import (
-    NEAR,
-    check_coordinates,
-    counted,
-    merged,
-    merging,
-    remedy,
-    without_unused,
-)
+from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging
+from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -255,7 +248,7 @@ def curved_elements(source: Any) -> Elements:
 
 def _with_shared_nodes(nodes: Array, cells: Ints, notes: list[str]) -> tuple[Array, Ints]:
     """Nodes at one place as one, to rounding, where neighbours do not share those on their edge."""
-    diagonal = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    diagonal = diagonal_of(nodes)
     for near in NEAR[:2]:
         if _share_nodes(cells):
             break

@@ -9,9 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
@@ -26,14 +23,12 @@ from esfem_core.surfaces.faults import (
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
 from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree, with_turned
+from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging
 
 __all__ = [
-    "NEAR",
     "Repaired",
     "check_coordinates",
     "counted",
-    "merged",
-    "merging",
     "remedy",
     "repair",
     "repaired",
@@ -42,7 +37,6 @@ __all__ = [
 
 HOLE = 12  # edges of the largest hole that is filled without being asked for
 LID = 200  # edges of the largest hole that a message offers to fill
-NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 SEPARATION = 1e-3  # how far a vertex that is split moves into its fan, over the fan's size
 FLIPS = 10  # sweeps over flat triangles
 
@@ -206,31 +200,6 @@ def counted(n: int, one: str, many: str | None = None) -> str:
     return f"{n} {one if n == 1 else many or one + 's'}"
 
 
-def merged(points: Array, distance: float) -> Ints:
-    """Number of the first of the points at each one's place, (n,).
-
-    Examples
-    --------
-    >>> merged(np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1e-9]]), 1e-8).tolist()
-    [0, 1, 0]
-    """
-    if distance == 0:
-        # Adding 0 makes 0 of -0.
-        _, first, place = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
-        return np.asarray(first[place.ravel()], dtype=np.int64)
-    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(points),) * 2)
-    label = connected_components(graph, directed=False)[1]
-    _, first = np.unique(label, return_index=True)
-    return np.asarray(first[label], dtype=np.int64)
-
-
-def merging(before: int, what: str, after: int, distance: float) -> str:
-    """What :func:`merged` has done, for the notes of a repair."""
-    where = f"within {distance:.1g}" if distance else "at the same places"
-    return f"merged {before} {what} into {after} {where}"
-
-
 def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
     """Advice for what a repair leaves: larger lids where they would do."""
     sides = sides_of(repaired(vertices, faces, 0).faces)
@@ -277,18 +246,15 @@ def _without_copies(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
 def _places(vertices: Array, faces: Ints) -> Ints:
     """Number of the first of the corners at each vertex's place, (n,), to rounding."""
     used = np.unique(faces)
-    used = used[np.isfinite(vertices[used]).all(axis=1)]
     place = np.arange(len(vertices))
-    if len(used):
-        near = NEAR[-1] * float(np.linalg.norm(np.ptp(vertices[used], axis=0)))
-        place[used] = used[merged(vertices[used], near)]
+    place[used] = used[merged(vertices[used], NEAR[-1] * diagonal_of(vertices[used]))]
     return place
 
 
 def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
     """Steps 2 and 3: what closes most of the surface, merging as little as possible."""
     best: tuple[int, Array, Ints, list[str]] | None = None
-    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    diagonal = diagonal_of(vertices)
     for near in (None, *NEAR):
         x, f = vertices, faces
         said: list[str] = []

@@ -1,6 +1,7 @@
 """What a repair does to a mesh, and what it leaves alone."""
 
 import contextlib
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from broken_meshes import (
 )
 
 import esfem_core as ec
+from esfem_core.surfaces.places import merged
 
 
 def repaired(tri, **options):
@@ -69,6 +71,23 @@ def test_merging_knows_the_size_of_the_surface(size, noise):
     assert len(whole.vertices) == 42
     assert len(said) == 1
     assert whole.volume == pytest.approx(size**3 * SPHERE.volume, rel=1e-6)
+
+
+def test_a_vertex_that_many_triangles_share_is_merged_once():
+    """The middles of the discs are given 4,000 times each: 8 million pairs, and half a gigabyte."""
+    fan = np.random.default_rng(0).permutation(4000)
+    angle = 2 * np.pi * np.arange(4000) / 4000
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    points = np.vstack([np.zeros((4000, 3)), rim[fan], rim + [0, 0, 1e-9], np.full((1, 3), np.nan)])
+    tracemalloc.start()
+    place = merged(points, 1e-8)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1e7
+    np.testing.assert_array_equal(place[:4000], 0)
+    np.testing.assert_array_equal(place[4000:8000], 4000 + np.arange(4000))
+    np.testing.assert_array_equal(place[8000:12000], 4000 + np.argsort(fan))
+    assert place[-1] == 12000
 
 
 def test_a_mesh_far_from_the_origin_is_repaired():

@@ -1,0 +1,56 @@
+"""Points at one place: vertices that files and programs give more than once."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from esfem_core.checks import Array, Ints
+
+__all__ = ["NEAR", "diagonal_of", "merged", "merging"]
+
+NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
+
+
+def diagonal_of(points: Array) -> float:
+    """Diagonal of the box around those points, (n, 3), that are finite.
+
+    Examples
+    --------
+    >>> diagonal_of(np.array([[0.0, 0, 0], [3, 4, 0], [0, np.nan, 0]]))
+    5.0
+    """
+    finite = points[np.isfinite(points).all(axis=1)]
+    return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 0.0
+
+
+def merged(points: Array, distance: float) -> Ints:
+    """Number of the first of the points at each one's place, (n,).
+
+    Examples
+    --------
+    >>> merged(np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1e-9]]), 1e-8).tolist()
+    [0, 1, 0]
+    """
+    # Adding 0 makes 0 of -0.
+    _, first, place = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+    place = place.ravel()
+    if distance > 0:
+        # The middle of a disc may be given a thousand times: pairs are those of different points.
+        place = _near(points[first], distance)[place]
+        _, first, place = np.unique(place, return_index=True, return_inverse=True)
+    return np.asarray(first[place], dtype=np.int64)
+
+
+def _near(points: Array, distance: float) -> Ints:
+    """A number for each place, (n,): points that a chain of short steps joins are at one."""
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    pairs = finite[cKDTree(points[finite]).query_pairs(distance, output_type="ndarray")]
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(points),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def merging(before: int, what: str, after: int, distance: float) -> str:
+    """What :func:`merged` has done, for the notes of a repair."""
+    where = f"within {distance:.1g}" if distance else "at the same places"
+    return f"merged {before} {what} into {after} {where}"
