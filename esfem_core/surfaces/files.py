@@ -237,6 +237,13 @@ def curved_elements(source: Any) -> Elements:
             f"source must have elements of its nodes, 0 to {len(found.points) - 1}, but element "
             f"{t} of {found.name} has node {cells[t][wrong[t]][0]}"
         )
+    infinite = np.intersect1d(np.flatnonzero(~np.isfinite(found.points).all(axis=1)), cells)
+    if len(infinite):
+        raise ValueError(
+            f"source must have nodes that are finite, but node {infinite[0]} of {found.name} is "
+            f"{found.points[infinite[0]].tolist()}"
+        )
+    check_coordinates(f"source, {found.name},", found.points, cells)
     nodes, cells = without_unused(found.points, cells, found.notes)
     nodes, cells = _with_shared_nodes(nodes, cells, found.notes)
     _, once = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)

@@ -219,3 +219,21 @@ def test_nodes_too_far_away_for_areas_are_named():
     space = ec.SurfaceSpace(SPHERE, 2, ec.to_unit_sphere)
     with pytest.raises(ValueError, match=r"nodes must have coordinates up to 1e\+75, but point 0"):
         ec.SurfaceSpace.from_nodes(1e200 * space.nodes, space.cells)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({5: [0, np.nan, 1]}, r"nodes that are finite, but node 5 of Mesh is \[0\.0, nan, 1\.0\]"),
+        ({7: [0, np.inf, 1]}, r"nodes that are finite, but node 7 of Mesh is \[0\.0, inf, 1\.0\]"),
+        ({3: [1e155, 0, 0]}, r"coordinates up to 1e\+75, but point 3 is \[1e\+155, 0\.0, 0\.0\]"),
+    ],
+)
+def test_nodes_of_elements_that_share_none_are_finite_and_not_too_far_away(change, text):
+    """The search for nodes at one place had words of its own for them."""
+    nodes = ec.sphere("octahedron", 1).triangles.reshape(-1, 3).copy()
+    for i, place in change.items():
+        nodes[i] = place
+    apart = meshio.Mesh(nodes, [("triangle", np.arange(len(nodes)).reshape(-1, 3))])
+    with pytest.raises(ValueError, match=text):
+        ec.SurfaceSpace.read(apart, report=None)

@@ -78,7 +78,7 @@ def test_a_vertex_that_many_triangles_share_is_merged_once():
     fan = np.random.default_rng(0).permutation(4000)
     angle = 2 * np.pi * np.arange(4000) / 4000
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    points = np.vstack([np.zeros((4000, 3)), rim[fan], rim + [0, 0, 1e-9], np.full((1, 3), np.nan)])
+    points = np.vstack([np.zeros((4000, 3)), rim[fan], rim + 1e-9, np.full((1, 3), np.nan)])
     tracemalloc.start()
     place = merged(points, 1e-8)
     most = tracemalloc.get_traced_memory()[1]
