@@ -38,9 +38,37 @@
     }
   }
 
+  const whole = (text) =>
+    Object.assign(document.createElement("span"), { className: "esfem-whole", textContent: text });
+
+  // Numbers such as 4.8e-02 in tables are not broken at the minus.
+  function numbers(cell) {
+    const walker = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT);
+    const texts = [];
+    while (walker.nextNode()) texts.push(walker.currentNode);
+    for (const text of texts) {
+      const parts = text.nodeValue.split(/([-+−]?\d[\d.]*e[-+]\d+)/);
+      if (parts.length > 1) text.replaceWith(...parts.map((part, i) => (i % 2 ? whole(part) : part)));
+    }
+  }
+
+  // What follows a formula without a space stays on its line.
+  function tie(formula) {
+    const next = formula.nextSibling;
+    const sign = next && next.nodeType === Node.TEXT_NODE && next.nodeValue.match(/^[,.;:)\]!?]+/);
+    const room = formula.parentElement.clientWidth - formula.getBoundingClientRect().width;
+    if (!sign || room < 20) return;
+    const both = whole("");
+    formula.before(both);
+    next.nodeValue = next.nodeValue.slice(sign[0].length);
+    both.append(formula, sign[0]);
+  }
+
   function ready() {
+    document.querySelectorAll(":is(.esfem-table, .esfem-claim) td").forEach(numbers);
     document.querySelectorAll(SCROLLS).forEach(watch);
     document.querySelectorAll("span.math").forEach(inline);
+    document.querySelectorAll("span.math").forEach(tie);
   }
   const formulas = window.MathJax && MathJax.startup && MathJax.startup.promise;
   (formulas || Promise.resolve()).then(ready);

@@ -14,6 +14,7 @@ from esfem_core.laws.species import Species
 __all__ = ["Law", "Solve", "check_law", "positions_of", "same_species"]
 
 Solve = Callable[[csr_array, Array], Array]
+"""What solves a linear system: a function of a matrix (N, N) and right-hand sides (N, ...)."""
 
 
 class Law(Protocol):

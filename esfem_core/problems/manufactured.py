@@ -208,6 +208,9 @@ def manufactured(
     The force is a vector, since the left-hand side is not normal to the surface in general, even
     if v is.
 
+    Expressions are those of sympy, with symbols x1, x2, x3, p1, p2, p3 and t, or their text, such
+    as ``"x1**2 + x2**2 + x3**2 - 1"``; a text is run by Python, so take none from strangers.
+
     Parameters
     ----------
     d : expression
@@ -225,9 +228,6 @@ def manufactured(
         Whether the motion is prescribed, instead of following from the law.
     until : float
         The motion is checked at times from 0 to this one.
-
-    Expressions are those of sympy, with symbols of these names, or their text, such as
-    ``"x1**2 + x2**2 + x3**2 - 1"``; a text is run by Python, so take none from strangers.
 
     Returns
     -------
