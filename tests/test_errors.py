@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 import esfem_core as ec
 
@@ -52,6 +53,17 @@ def test_a_known_perturbation():
     assert np.isnan([errors.v_l2, errors.v_h1]).all()
 
 
+def test_errors_are_measured_on_the_exact_surface_however_far_the_state_is():
+    """e_x = id and e_u = x3 on the unit sphere; the state is a sphere of radius two."""
+    x = SPACE.nodes
+    state, exact = ec.State(0.0, 2 * x, None, x[:, 2]), ec.State(0.0, x, None, 0 * x[:, 2])
+    resting = ec.Exact(lambda p, t: p.copy(), lambda p, t: 0 * p, lambda x, t: 0 * x[:, 0])
+    problem = ec.Problem(0.0, exact=resting)
+    for e in (ec.errors.difference(SPACE, state, exact), ec.errors.compare(SPACE, problem, state)):
+        assert [e.x_l2, e.x_h1] == pytest.approx(np.sqrt([4 * np.pi, 8 * np.pi]), rel=1e-4)
+        assert [e.u_l2, e.u_h1] == pytest.approx(np.sqrt([4 * np.pi / 3, 8 * np.pi / 3]), rel=1e-4)
+
+
 def test_several_components_add_up():
     M, _ = SPACE.mass_stiffness(SPACE.nodes)
     w = np.random.default_rng(0).standard_normal((len(SPACE.nodes), 3))
@@ -62,6 +74,13 @@ def test_several_components_add_up():
 def test_a_seminorm_of_a_constant_is_zero_and_not_nan():
     _, A = SPACE.mass_stiffness(SPACE.nodes)
     assert 0 <= ec.errors.seminorm(A, np.full(len(SPACE.nodes), 7.0)) < 1e-5
+
+
+def test_only_rounding_makes_a_negative_square_zero():
+    matrix = csr_array(np.diag([1.0, -1.0]))
+    assert ec.errors.seminorm(matrix, np.array([1.0, 1 + 1e-10])) == 0
+    with pytest.raises(ValueError, match="matrix must be positive semidefinite"):
+        ec.errors.seminorm(matrix, np.array([1.0, 1 + 1e-6]))
 
 
 def test_problems_without_what_an_error_needs_are_refused():
@@ -205,6 +224,16 @@ class TestNormsOverARun:
         ones = ec.errors.Errors(*[1.0] * 6)
         found = self.norms(run, (t + 5 * step, t + 6 * step), lambda *given: ones)
         assert found == pytest.approx((1, np.sqrt(2 * step)), rel=1e-5)
+
+    @pytest.mark.parametrize(("window", "steps"), [((0.0, 0.3), 4), ((0.3, 0.7), 5)])
+    def test_a_window_ends_with_its_last_step_in_spite_of_rounding(self, window, steps):
+        """3 * 0.1 and 7 * 0.1 are larger than the numbers that are meant."""
+        run = [dataclasses.replace(self.RUN[1], t=n * 0.1) for n in range(11)]
+        assert run[3].t > 0.3
+        ones = ec.errors.Errors(*[1.0] * 6)
+        assert self.norms(run, window, lambda *given: ones) == pytest.approx(
+            (1, np.sqrt(0.1 * steps))
+        )
 
     def test_an_empty_window_is_refused(self):
         with pytest.raises(ValueError, match="window must hold a step after the starting states"):
