@@ -165,6 +165,16 @@ def test_the_spatial_defect_of_a_prescribed_motion_is_a_derivative():
     assert np.abs(spatial_defects(space, problem, t).u - expected).max() < 1e-7
 
 
+def test_spatial_defects_meet_forces_of_their_time():
+    """A resting sphere that is pushed by g = t: the load of the normal, t times."""
+    space = space_of(0)
+    exact = Exact(lambda p, t: p.copy(), lambda p, t: 0 * p, lambda x, t: np.ones(len(x)))
+    problem = ec.Problem(1.0, exact=exact, g=lambda at: at.t + 0 * at.density)
+    one, other = (spatial_defects(space, problem, t).v for t in (0.5, 2.0))
+    at = ec.Surface(space, space.nodes)
+    np.testing.assert_allclose(other - one, -1.5 * at.load(at.normal), atol=1e-13)
+
+
 def test_dual_norm_is_a_supremum():
     space = space_of(0)
     M, A = space.mass_stiffness(space.nodes)
@@ -295,6 +305,15 @@ def test_the_rate_of_mass_times_u_is_a_derivative():
 
         rate = rate_of_mass(space, *exact_values(space, problem, t), rate_of_u(space, problem, t))
         np.testing.assert_allclose(rate, derivative(mass_term, t), atol=1e-11)
+
+
+def test_each_component_has_its_own_diffusivity():
+    space = space_of(0, 1)
+    _, A = space.mass_stiffness(space.nodes)
+    u = space.nodes[:, :2]
+    pair = ec.Species(lambda x: x[:, :2], diffusivity=[1.0, 3.0])
+    problem = ec.Problem(species={"u": pair}, law=ec.laws.Regularised())
+    np.testing.assert_array_equal(diffusion(problem, A, u), (A @ u) * [1.0, 3.0])
 
 
 @pytest.mark.parametrize("components", [(), (2,)])

@@ -116,6 +116,15 @@ def test_lifted_ratio_is_that_of_the_lifted_tangents():
     np.testing.assert_allclose(onto.ratio, area / space.density(x), rtol=1e-8)
 
 
+def test_the_tensor_of_a_lift_gives_the_energy_of_lifted_gradients():
+    space = torus_space(1)
+    onto = forms.lift(space, space.nodes, Torus())
+    g = RNG.normal(size=onto.points.shape)
+    lifted = np.einsum("tqij,tqj->tqi", onto.gradient, g)
+    energy = np.einsum("tqi,tqij,tqj->tq", g, onto.tensor, g)
+    np.testing.assert_allclose(energy, onto.ratio * (lifted**2).sum(axis=-1), rtol=1e-12)
+
+
 def test_relative_norm_of_dense_and_large_matrices_agree(monkeypatch):
     monkeypatch.setattr(forms, "DENSE", 100)
     space = torus_space(2, 5)

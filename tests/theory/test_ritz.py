@@ -62,6 +62,9 @@ def test_spaces_that_do_not_belong_together_are_refused():
         prolongation(quadratic, linear)
     with pytest.raises(ValueError, match="fine must be on the triangulation of space"):
         prolongation(linear, ec.SurfaceSpace(ec.sphere("octahedron", 1), 2))
+    renumbered = trimesh.Trimesh(TRI.vertices, np.roll(TRI.faces, 1, axis=0), process=False)
+    with pytest.raises(ValueError, match="fine must be on the triangulation of space"):
+        prolongation(linear, ec.SurfaceSpace(renumbered, 2))
 
 
 def test_a_surface_of_two_components_has_no_projection():

@@ -90,6 +90,31 @@ def test_the_squares_are_those_of_the_errors_at_the_exact_positions():
     assert not terms.errors["v"][:2].any()
 
 
+def test_defects_of_positions_have_the_norm_of_errors_and_the_others_its_dual():
+    """d^T K d and d^T K^{-1} d with K = M + A: of constants c and of M c these are areas."""
+    x, M = SPACE.nodes, SPACE.mass(SPACE.nodes)
+    states = [ec.State(0.1 * n, x, ZERO, x[:, 0], space=SPACE) for n in range(2)]
+    c = np.ones_like(x) * [1, 2, 3]
+    d = Defects(M @ c[:, 1], M @ c, c)
+    terms = error_terms(SPACE, [(state, state) for state in states], 1, 0.1, lambda n: d)
+    found = [terms.squares[name][1] for name in ("d_x", "d_v", "d_u")]
+    assert found == pytest.approx(np.array([14, 14, 4]) * M.sum(), rel=1e-12)
+
+
+def test_errors_of_u_are_measured_with_the_matrices_of_their_time():
+    """On spheres of radius 1, 2 and 3: M grows like r^2, A does not."""
+    x, (M, A) = SPACE.nodes, SPACE.mass_stiffness(SPACE.nodes)
+    e = x[:, 0]
+    pairs = [
+        tuple(ec.State(0.1 * n, (1 + n) * x, x, u, space=SPACE) for u in (e, 0 * e))
+        for n in range(3)
+    ]
+    squares = error_terms(SPACE, pairs, 1, 0.1, lambda n: None).squares
+    assert squares["u_mass"] == pytest.approx(np.array([1, 4, 9]) * (e @ (M @ e)), rel=1e-12)
+    assert squares["u_stiffness"] == pytest.approx([e @ (A @ e)] * 3, rel=1e-12)
+    assert squares["u"] == pytest.approx(squares["u_mass"] + squares["u_stiffness"], rel=1e-12)
+
+
 def test_one_velocity_defect_refutes_the_printed_estimate_and_not_the_corrected_one():
     pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.5, single_velocity_defect))
     terms = error_terms(SPACE, pairs, 2, 1 / 20, single_velocity_defect)
