@@ -98,9 +98,19 @@ def test_a_run_that_goes_on_gives_the_same_bits(mass):
         np.testing.assert_array_equal(again[name], states[-1][name])
 
 
+def test_an_array_of_the_caller_may_change_afterwards():
+    v0 = np.ones_like(SPACE.nodes)
+    law = ec.laws.Dynamic(v0)
+    v0[:] = 7
+    first = next(iter(ec.evolve(SPACE, ec.Problem(law=law), 1, 0.1, 0.1)))
+    assert (first["velocity"] == 1).all()
+
+
 def test_refused():
     with pytest.raises(ValueError, match="alpha must be a finite number >= 0, got -1"):
         ec.laws.Dynamic(0.0, alpha=-1)
+    with pytest.raises(ValueError, match="beta must be a finite number >= 0, got -1"):
+        ec.laws.Dynamic(0.0, beta=-1)
     with pytest.raises(TypeError, match="g must be a function of a Surface or None"):
         ec.laws.Dynamic(0.0, g=1.0)
     problem = ec.Problem(law=ec.laws.Dynamic(lambda x: x[:, 0]))

@@ -8,6 +8,7 @@ import pytest
 from temporal import fine_run, temporal_orders
 
 import esfem_core as ec
+from esfem_core.elements import Smoothing, nodal_average
 from esfem_core.study import final
 
 
@@ -126,6 +127,50 @@ def test_a_law_with_a_slip_does_not_keep_the_spaces_of_its_runs():
     assert gone() is None
 
 
+@pytest.mark.parametrize("area", [0.0, 1.5])
+def test_the_elastic_slip_is_what_it_is_said_to_be(area):
+    """W = -rate P B P f with B = s (M + s A)^{-1}, f by differences of the energy."""
+    tri = ec.sphere("icosahedron", 0).apply_scale(3.0)
+    space = ec.SurfaceSpace(tri, 2, lambda x: 3 * ec.to_unit_sphere(x))
+    rng = np.random.default_rng(0)
+    x = 2 * space.nodes * [1.2, 1, 0.8] + 0.1 * rng.uniform(-1, 1, space.nodes.shape)
+    n = ec.to_unit_sphere(space.nodes + 0.3 * rng.uniform(-1, 1, space.nodes.shape))
+    weights, density = space.rule.weights, space.density(space.nodes)
+    M, A = (matrix.toarray() for matrix in space.mass_stiffness(space.nodes))
+    mean = (space.density(x) * weights).sum() / M.sum()  # of the quotient of areas
+
+    def energy(y):
+        squares = (space.density(y) / density) ** 2 * density * weights
+        return 0.5 * np.sum(y * (A @ y)) + 0.5 * area * squares.sum() / mean
+
+    f = np.zeros_like(x)
+    for i in np.ndindex(x.shape):
+        step = np.zeros_like(x)
+        step[i] = 1e-4
+        f[i] = (energy(x + step) - energy(x - step)) / 2e-4
+
+    def tangential(w):
+        return w - (w * n).sum(axis=1, keepdims=True) * n
+
+    s = M.sum() / (4 * np.pi)
+    w = -7 * tangential(np.linalg.solve(M / s + A, tangential(f)))
+    found = ec.laws.Elastic(7.0, area)(ec.Surface(space, x, {"normal": 2 * n}))
+    np.testing.assert_allclose(found, w, rtol=0, atol=1e-6 * abs(w).max())
+
+
+STRETCHED = ec.Surface(COARSE, COARSE.nodes * [1.5, 1, 0.7])
+
+
+def test_the_harmonic_slip_is_the_elastic_one_without_areas():
+    rest = REST["prescribed"]
+    elastic, harmonic = (
+        ec.laws.with_slip(rest, w).slip(STRETCHED) for w in ("elastic", "harmonic")
+    )
+    np.testing.assert_array_equal(elastic, ec.laws.Elastic()(STRETCHED))
+    np.testing.assert_array_equal(harmonic, ec.laws.Elastic(area=0)(STRETCHED))
+    assert abs(elastic - harmonic).max() > 1e-2
+
+
 @pytest.mark.parametrize(
     ("field", "without", "least"),
     [
@@ -166,6 +211,15 @@ def test_a_normal_of_the_law_is_vectors():
     np.testing.assert_array_equal(scalar, own)
     vectors = slip(ec.Surface(space, x, {"normal": x}))
     assert abs((vectors * x).sum(axis=1)).max() < 1e-12 < abs((own * x).sum(axis=1)).max()
+
+
+def test_without_a_normal_of_the_law_a_smoothed_one_is_taken():
+    begin = ec.Surface(COARSE, COARSE.nodes)
+    normal = Smoothing(begin)(begin.M @ nodal_average(STRETCHED, STRETCHED.normal))
+    slip = ec.laws.Elastic()(STRETCHED)
+    assert abs((slip * normal).sum(axis=1)).max() < 1e-12
+    with_normal = ec.Surface(COARSE, STRETCHED.x, {"normal": normal})
+    np.testing.assert_array_equal(slip, ec.laws.Elastic()(with_normal))
 
 
 def test_refused():
