@@ -19,10 +19,12 @@ def test_observed_orders_of_powers():
     np.testing.assert_allclose(observed_orders(h, 7 * h**2.5), 2.5, rtol=1e-12)
 
 
-def test_zero_and_missing_errors_have_no_order_and_no_warning():
+def test_zero_missing_and_infinite_errors_have_no_order_and_no_warning():
     orders = observed_orders([0.8, 0.4, 0.2, 0.1, 0.05], [4, 1, 0, np.nan, 1])
     np.testing.assert_array_equal(orders, [2, np.nan, np.nan, np.nan])
     assert np.isnan(observed_orders([0.2, 0.1], [0, 0])).all()
+    orders = observed_orders([0.8, 0.4, 0.2, 0.1], [np.inf, np.inf, 4, 1])
+    np.testing.assert_allclose(orders, [np.nan, np.nan, 2], rtol=1e-14)
     table = ConvergenceTable("h", [0.2, 0.1], {"x": [0.0, 0.0], "v": [np.nan, 1.0]})
     assert [line.split() for line in str(table).split("\n")[1:]] == [
         ["0.2", "0.00e+00", "–"],

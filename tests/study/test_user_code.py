@@ -261,6 +261,7 @@ FORMATS = ("csr", "csc", "coo", "lil", "dok", "dia", "bsr")
         (np.frompyfunc(lambda x: x + 1, 1, 1), np.frompyfunc(lambda x: x + 2, 1, 1)),
         (np.random.default_rng(1), np.random.default_rng(2)),
         (np.array([[1]]), np.matrix([[1]])),
+        (np.arange(6).reshape(2, 3), np.arange(6).reshape(3, 2)),
         *(
             (coo_array(np.eye(2)).asformat(f), coo_array(2 * np.eye(2)).asformat(f))
             for f in FORMATS
@@ -338,6 +339,14 @@ class Kept(metaclass=Meta):
 
     square = partialmethod(power, 3)
 
+    @property
+    def size(self):
+        return self.power(1)
+
+    @size.setter
+    def size(self, value):
+        self.length = value + 8
+
 
 class Point(namedtuple("Pair", "x y")):
     def size(self):
@@ -376,13 +385,41 @@ def compute(size):
 
 @pytest.mark.parametrize(
     "text",
-    ["return 1", "return 2", "power, 3", "self.x + 4", "return 5", "return 6", "return 7"],
+    [
+        "return 1",
+        "return 2",
+        "power, 3",
+        "self.x + 4",
+        "return 5",
+        "return 6",
+        "return 7",
+        "value + 8",
+    ],
 )
 def test_all_that_stands_in_a_class_counts(text):
     assert CLASSES.count(text) == 1
     other = CLASSES.replace(text, text[:-1] + "9")
     assert code_of(compute(CLASSES)) == code_of(compute(CLASSES))
     assert code_of(compute(other)) != code_of(compute(CLASSES))
+
+
+def test_the_base_of_a_class_counts():
+    """Of classes with the same name and text."""
+
+    def own(base):
+        class Own(base):
+            pass
+
+        return lambda: Own()
+
+    def base(value):
+        class Base:
+            factor = value
+
+        return Base
+
+    assert code_of(own(base(1))) == code_of(own(base(1)))
+    assert code_of(own(base(1))) != code_of(own(base(2)))
 
 
 @pytest.mark.parametrize(
@@ -437,6 +474,14 @@ def test_the_package_counts_where_it_is_used_also_when_it_is_installed(line, pla
 def test_arguments_of_functions_without_a_name_count():
     assert code_of(lambda a, b: a - b) != code_of(lambda b, a: b - a)
     assert code_of(lambda a: a) != code_of(lambda *a: a)
+
+
+def test_the_default_of_a_keyword_counts():
+    def scaled(factor):
+        return lambda n, *, by=factor: by * n
+
+    assert code_of(scaled(2)) == code_of(scaled(2))
+    assert code_of(scaled(2)) != code_of(scaled(3))
 
 
 def test_the_order_of_sets_does_not_count():
