@@ -53,6 +53,8 @@ SIDES_OF = {  # of cells of a body, outwards
     ],
 }
 
+CORNERS = {"triangle": 3, "quad": 4, "polygon": 3, "tetra": 4, "hexahedron": 8}
+
 FLAT = ("vertex", "line", *(f"VTK cell type {code}" for code in (0, 1, 2, 3, 4, 21, 35, 68)))
 
 
@@ -416,8 +418,22 @@ def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
 
 def _of_meshio(name: str, mesh: Any) -> Elements:
     blocks = [(_kind(block.type), np.asarray(block.data)) for block in mesh.cells]
+    for kind, data in blocks:
+        _check_block(name, kind, data)
     cells = [(k, d.astype(np.int64)) for k, d in blocks if d.ndim == 2 and d.dtype.kind in "iu"]
     return Elements(name, _three(mesh.points), cells, None, [])
+
+
+def _check_block(name: str, kind: str, data: Any) -> None:
+    """Refuse cells of a known kind that are no rows of integers, or of too few."""
+    least = CORNERS.get(kind)
+    if least is None or data.size == 0:
+        return
+    if data.ndim != 2 or data.dtype.kind not in "iu" or data.shape[1] < least:
+        raise ValueError(
+            f"source must have rows of {least} or more integers for cells of kind {kind}, but "
+            f"those of {name} are of type {data.dtype} and shape {data.shape}"
+        )
 
 
 def _of_pyvista(name: str, grid: Any) -> Elements:

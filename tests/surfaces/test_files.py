@@ -247,6 +247,15 @@ def test_a_mesh_without_a_unit_has_none():
             [("tetra", [[0, 1, 2, 3]]), ("wedge", [[0, 1, 2, 3, 4, 5]])],
             "holds wedge beside other cells of a body: .* would have holes",
         ),
+        (
+            np.eye(3),
+            [("triangle", [[0.0, 1, 2]])],
+            r"rows of 3 or more integers for cells of kind triangle, but those of Mesh are of type "
+            r"float64 and shape \(1, 3\)",
+        ),
+        (np.eye(3), [("triangle", [[0]])], r"3 or more integers .* triangle, .* shape \(1, 1\)"),
+        (np.eye(3), [("quad", [[0, 1, 2]])], r"4 or more integers .* quad, .* shape \(1, 3\)"),
+        (np.eye(3), [("tetra", [[0, 1, 2]])], r"4 or more integers .* tetra, .* shape \(1, 3\)"),
     ],
 )
 def test_what_would_give_another_surface_is_refused(points, cells, message):
