@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from full_disk import room
+from hemisphere import hemisphere
 
 import esfem_core as ec
 from esfem_core.stepping.checkpoints import close_idle
@@ -99,6 +100,14 @@ def test_the_space_that_is_read_is_the_same_bit_for_bit(tmp_path):
             (space.mass_stiffness(space.nodes)[1].data, other.mass_stiffness(other.nodes)[1].data),
         ]:
             np.testing.assert_array_equal(one, two)
+
+
+def test_a_surface_with_a_boundary_is_read_back(tmp_path):
+    space = hemisphere(0, 2)
+    ec.save(tmp_path / "run.npz", ec.State(0.0, space.nodes, space=space))
+    again, _ = ec.load(tmp_path / "run.npz")
+    assert len(again.boundary_nodes) > 0
+    np.testing.assert_array_equal(again.boundary_nodes, space.boundary_nodes)
 
 
 KILLED = """
@@ -540,6 +549,17 @@ def test_amounts_stay_what_they_are_in_every_state():
         assert amount(state) == pytest.approx(first, rel=2e-13)
 
 
+def test_of_what_is_not_conserved_the_values_are_interpolated():
+    """On a growing sphere a value that rests stays what it is; its amount grows."""
+    rest = ec.Species(lambda x: 2 + x[:, 2], conserved=False, diffusivity=0.0)
+    law = ec.laws.Prescribed(velocity=lambda x, t: 0.5 * x)
+    problem = ec.Problem(species={"u": ec.Species(1.0), "rest": rest}, law=law)
+    states = list(ec.evolve(SPACE, problem, 1, 0.1, 0.5, solver="direct"))
+    start = ec.respaced(states[-3:], 0.05, order=2)
+    assert start[0].products.keys() == {"u"}
+    np.testing.assert_allclose(start[0]["rest"], 2 + SPACE.nodes[:, 2], rtol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def fine():
     return list(ec.evolve(SPACE, coupled(), 5, 1 / 400, 1.475, start="euler"))[-1]
@@ -571,6 +591,14 @@ def test_the_same_step_gives_the_same_states():
     twice = ec.respaced(states, 0.1, order=3)
     assert all(one.x is other.x for one, other in zip(twice, states[-5::2], strict=True))
     assert twice[-1].method == ("updated", 3, 0.1)  # whose products these are now
+
+
+def test_states_for_another_order_say_so():
+    """Products belong to a mass matrix, an order and a step."""
+    states = list(ec.evolve(SPACE, coupled(), 3, 0.1, 0.5, mass="extrapolated"))
+    for order, expected in ((2, 2), (None, 3)):
+        start = ec.respaced(states[-4:], 0.05, order)
+        assert {state.method for state in start} == {("extrapolated", expected, 0.05)}
 
 
 def test_respaced_says_how_far_the_states_must_reach_back():

@@ -297,6 +297,16 @@ def test_an_elimination_keeps_the_pattern_and_positive_definiteness():
     assert np.linalg.eigvalsh(K.toarray()).min() > 0
 
 
+def test_an_elimination_leaves_what_it_is_given():
+    space = hemisphere(1)
+    nodes, (M, _) = space.boundary_nodes, space.mass_stiffness(space.nodes)
+    b, guess, given = (np.full(len(space.nodes), value) for value in (2.0, 3.0, 7.0))
+    w = Elimination(space.pattern, nodes).solve(lambda K, b, guess: guess, M, b, guess, given)
+    assert (w[nodes] == 7).all()
+    for array, value in ((b, 2), (guess, 3), (given, 7)):
+        assert (array == value).all()
+
+
 @pytest.mark.parametrize("fixed", [ec.laws.Fixed, (ec.laws.Fixed, 1.0), ([0], ec.laws.Fixed)])
 def test_a_class_is_no_value(fixed):
     with pytest.raises(TypeError, match=r"fixed must .*, got .*(class Fixed|object)"):

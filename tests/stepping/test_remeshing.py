@@ -72,6 +72,12 @@ def test_the_same_state_gives_the_same_bits():
     assert np.array_equal(one.u, other.u)
 
 
+def test_new_triangles_have_the_quadrature_of_the_old_ones():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere, exactness=11)
+    new = ec.remeshed(ec.State(0.0, space.nodes, None, space=space), 0.5)
+    assert new.space.rule.exactness == space.rule.exactness == 11
+
+
 def test_each_component_keeps_its_own_amount():
     tri = ec.sphere("icosahedron", 1)
     moved = trimesh.Trimesh(tri.vertices + np.array([4.0, 0, 0]), tri.faces, process=False)
@@ -428,6 +434,11 @@ def test_refusals_say_what_would_be_right(arguments, error, text):
 def test_a_function_called_normal_need_not_be_one():
     for w in (BALL.nodes[:, 0], BALL.nodes[:, :2]):
         assert ec.remeshed(ball(BALL.nodes, normal=w))["normal"].shape[1:] == w.shape[1:]
+
+
+def test_a_normal_that_is_too_long_everywhere_stays_as_long():
+    new = ec.remeshed(ball(BALL.nodes, normal=1.25 * BALL.nodes), 0.5)
+    np.testing.assert_allclose(np.linalg.norm(new["normal"], axis=1), 1.25, rtol=1e-4)
 
 
 def test_the_largest_length_is_allowed():
