@@ -27,7 +27,7 @@ def soup(tri):
 
 
 def pinched():
-    """Two tetrahedra with one vertex in common."""
+    """Two boxes with one vertex in common."""
     a = trimesh.creation.box().convex_hull
     b = a.copy()
     b.apply_translation(a.vertices[0] - b.vertices[-1])

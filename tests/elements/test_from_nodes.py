@@ -9,12 +9,17 @@ from broken_meshes import SPHERE, joined, mesh
 
 import esfem_core as ec
 from esfem_core.elements.numbering import mirrored
+from esfem_core.surfaces.files import curved_elements
 
 DATA = Path(__file__).parents[1] / "surfaces" / "data"
 
 
 def curved(degree, tri=SPHERE):
     return ec.SurfaceSpace(tri, degree, ec.to_unit_sphere)
+
+
+def elements(nodes, cells):
+    return meshio.Mesh(nodes, [("VTK_LAGRANGE_TRIANGLE", cells)])
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
@@ -99,6 +104,25 @@ def test_elements_that_share_corners_but_no_nodes_on_edges_are_joined_by_reading
     assert space.integrate(space.nodes, 1) == pytest.approx(made.integrate(made.nodes, 1), rel=1e-9)
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_elements_with_nodes_of_their_own_share_them_within_rounding(degree):
+    made = curved(degree)
+    apart = made.nodes[made.cells].reshape(-1, 3)
+    apart += 1e-10 * np.random.default_rng(0).uniform(-1, 1, apart.shape)
+    cells = np.arange(len(apart)).reshape(made.cells.shape)
+    found = curved_elements(elements(apart, cells))
+    assert len(found.points) == len(made.nodes)
+    np.testing.assert_allclose(found.points[found.cells[0][1]], made.nodes[made.cells], atol=1e-9)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_elements_that_share_their_nodes_are_left_alone(degree):
+    made = curved(degree)
+    found = curved_elements(elements(made.nodes, made.cells))
+    assert found.notes == []
+    np.testing.assert_array_equal(found.points, made.nodes)
+
+
 def test_of_an_element_given_twice_one_is_read_and_arrays_are_refused():
     made, said = curved(2), []
     twice = np.vstack([made.cells, made.cells[5:6]])
@@ -108,6 +132,14 @@ def test_of_an_element_given_twice_one_is_read_and_arrays_are_refused():
     space = ec.SurfaceSpace.read(source, report=said.append)
     np.testing.assert_array_equal(space.cells, made.cells)
     assert said[1] == "dropped 1 element given before"
+
+
+def test_of_elements_given_twice_the_first_are_kept_in_their_order():
+    made = curved(2)
+    cells = np.random.default_rng(0).permutation(made.cells)
+    found = curved_elements(elements(made.nodes, np.vstack([cells, cells[:7]])))
+    np.testing.assert_array_equal(found.cells[0][1], cells)
+    assert found.notes == ["dropped 7 elements given before"]
 
 
 def test_nodes_outside_of_all_elements_are_refused_with_a_line_that_works():

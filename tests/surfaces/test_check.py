@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from broken_meshes import BROKEN, SPHERE, joined, klein_bottle, mesh, turned
+from broken_meshes import BROKEN, SPHERE, joined, klein_bottle, mesh, soup, turned
 from scipy.spatial import ConvexHull
 
 import esfem_core as ec
@@ -173,6 +173,17 @@ def test_only_trimesh_is_taken_and_the_conversion_is_said():
     for other in (ConvexHull(SPHERE.vertices), SPHERE.voxelized(0.5)):  # read_mesh takes neither
         with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh, got (?!.*read_mesh)"):
             ec.SurfaceSpace(other)
+
+
+def test_vertices_at_one_place_are_to_be_merged_and_no_boundary_is_advised():
+    said = message(soup(SPHERE))
+    assert "not closed" in said
+    assert "boundary=True" not in said
+
+
+def test_whether_a_boundary_is_meant_is_yes_or_no():
+    with pytest.raises(TypeError, match="boundary must be True or False, got 'no'"):
+        ec.check_triangulation(SPHERE, boundary="no")
 
 
 def test_messages_and_repairs_need_numpy_scipy_and_trimesh_only():

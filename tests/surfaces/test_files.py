@@ -2,12 +2,13 @@
 
 import io
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
 import pytest
 import trimesh
-from broken_meshes import SPHERE, klein_bottle, mesh, pinched, soup, turned
+from broken_meshes import SPHERE, half, klein_bottle, mesh, pinched, soup, turned
 
 import esfem_core as ec
 from esfem_core.surfaces.files import BY_MESHIO, BY_TRIMESH
@@ -175,6 +176,67 @@ def test_polygons_and_bodies_become_triangles():
         assert tri.volume == pytest.approx(1)
 
 
+CORNERS = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+CUBE = np.array([[0, 1, 3, 2, 4, 5, 7, 6]])
+TETRAHEDRA = np.array(
+    [[0, 1, 3, 7], [0, 1, 7, 5], [0, 5, 7, 4], [0, 3, 2, 7], [0, 6, 4, 7], [0, 2, 6, 7]]
+)
+SQUARES = CUBE[0][
+    [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+]
+
+
+def is_the_cube(source):
+    tri, _ = read(source)
+    return (len(tri.vertices), len(tri.faces), tri.volume) == (8, 12, pytest.approx(1))
+
+
+def test_a_body_in_several_blocks_has_one_boundary():
+    """As Gmsh writes one for each physical volume: sides between blocks are inside."""
+    blocks = [("tetra", TETRAHEDRA[:3]), ("tetra", TETRAHEDRA[3:])]
+    assert is_the_cube(meshio.Mesh(CORNERS, blocks))
+
+
+def test_of_curved_quadrilaterals_the_corners_are_taken():
+    middles = (CORNERS[SQUARES] + CORNERS[np.roll(SQUARES, -1, axis=1)]) / 2
+    cells = np.hstack([SQUARES, 8 + np.arange(24).reshape(6, 4)])
+    points = np.vstack([CORNERS, middles.reshape(-1, 3)])
+    assert is_the_cube(meshio.Mesh(points, [("quad8", cells)]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "cells"),
+    [("TETRAHEDRON", TETRAHEDRA), ("HEXAHEDRON", CUBE), ("QUADRILATERAL", SQUARES)],
+)
+def test_cells_of_vtk_have_long_names(kind, cells):
+    assert is_the_cube(meshio.Mesh(CORNERS, [(f"VTK_LAGRANGE_{kind}", cells)]))
+
+
+def grid(points, code, cells):
+    """What is asked of an unstructured grid of PyVista."""
+    return SimpleNamespace(
+        points=points,
+        celltypes=np.full(len(cells), code),
+        cell_connectivity=cells.ravel(),
+        offset=cells.shape[1] * np.arange(len(cells) + 1),
+        cells_dict={},
+        cell_data={},
+    )
+
+
+@pytest.mark.parametrize(("code", "cells"), [(9, SQUARES), (10, TETRAHEDRA), (12, CUBE)])
+def test_cells_of_a_grid_are_known_by_the_numbers_of_vtk(code, cells):
+    assert is_the_cube(grid(CORNERS, code, cells))
+
+
+@pytest.mark.parametrize(("code", "degree"), [(5, 1), (22, 2), (69, 2), (69, 3)])
+def test_triangles_of_a_grid_are_known_by_the_numbers_of_vtk(code, degree):
+    made = ec.SurfaceSpace(SPHERE, degree, ec.to_unit_sphere)
+    space = ec.SurfaceSpace.read(grid(made.nodes, code, made.cells), report=None)
+    np.testing.assert_array_equal(space.nodes, made.nodes)
+    np.testing.assert_array_equal(space.cells, made.cells)
+
+
 def test_of_curved_elements_the_corners_are_taken_and_that_is_said():
     tri, said = read(DATA / "sphere_2.msh")
     assert said[1].startswith("corners of elements with 6 nodes taken; ec.SurfaceSpace.read")
@@ -268,6 +330,11 @@ def test_points_and_lines_beside_a_body_do_no_harm():
     cells = [("tetra", [[0, 1, 2, 3]]), ("line", [[0, 1]]), ("vertex", [[0]])]
     given = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [(k, np.array(n)) for k, n in cells])
     assert len(read(given)[0].faces) == 4
+
+
+def test_an_open_surface_whose_triangles_share_no_vertices_is_joined_as_well():
+    tri, _ = read(soup(half()))
+    assert len(tri.vertices) == len(half().vertices)
 
 
 @pytest.mark.parametrize("option", [{"unit": 3}, {"report": 3}])

@@ -161,6 +161,26 @@ def test_a_cube_stays_a_cube(subdivisions):
     assert ec.smooth(tri, 91).creases.shape == (0, 2)
 
 
+def test_a_mean_normal_does_not_depend_on_how_a_side_is_cut_into_triangles():
+    """At the corners of a cube, where its sides have one triangle or two."""
+    box = trimesh.creation.box()
+    assert set(np.bincount(box.faces.ravel())) != {3}
+    normals = _Flat(np.array(box.triangles)).mean_normals(np.array(box.faces))
+    assert_allclose(normals, ec.to_unit_sphere(box.vertices), atol=1e-15)
+
+
+def test_only_angles_above_the_limit_are_sharp():
+    box = trimesh.creation.box()
+    assert [len(ec.smooth(box, crease).creases) for crease in (89.9, 90, 180)] == [12, 0, 0]
+
+
+def test_what_a_smooth_surface_tells_of_itself_is_read_only():
+    s = ec.smooth(trimesh.creation.box())
+    for array in (s.vertices, s.faces, s.creases):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
 def test_an_octahedron_is_a_ball_if_no_edge_is_a_crease():
     tri = ec.sphere("octahedron", 0)
     flat, ball = (
@@ -215,6 +235,30 @@ def test_a_crease_goes_to_the_curve_where_both_sides_meet():
         )
     assert at_rim[0] / at_rim[1] > 2**3.3
     assert everywhere[0] / everywhere[1] > 2**3.3
+
+
+def test_an_arc_that_is_too_high_is_cut_to_its_room():
+    """A rim of eight chords, whose arcs would be 0.0995 of them high; 0.08 are allowed."""
+    s = ec.smooth(trimesh.creation.cylinder(1.0, 1.0, sections=8))
+    half = np.flatnonzero(s._across >= 0)
+    chord, curve = s._curve(half, np.full((len(half), 2), 0.5))
+    height = np.linalg.norm(curve - chord, axis=1)
+    assert_allclose(height, 0.08 * 2 * np.sin(np.pi / 8), rtol=1e-12)
+
+
+def test_a_crease_moves_its_triangle_by_the_square_of_the_distance_from_the_corner_opposite():
+    s = ec.smooth(trimesh.creation.cylinder(1.0, 1.0, sections=12))
+    flat = np.ptp(s.vertices[s.faces, 2], axis=1) == 0
+    side = next(i for i in np.flatnonzero(s._across >= 0) if flat[i // 3])  # at the rim of a lid
+    t, ends = np.array([side // 3]), [side % 3, (side + 1) % 3]
+    moved = []
+    for share in (0.25, 0.5, 1.0):
+        b = np.full((1, 3), 1 - share)
+        b[0, ends] = share / 2
+        near, _ = s._along_creases(t, b)
+        moved.append(near - b @ s.vertices[s.faces[t[0]]])
+    assert np.linalg.norm(moved[2]) > 0.01
+    assert_allclose([16 * moved[0], 4 * moved[1]], [moved[2]] * 2, atol=1e-13)
 
 
 @pytest.mark.parametrize(("crease", "degree"), [(30.0, 2), (50.0, 3), (180.0, 3)])
