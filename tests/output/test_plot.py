@@ -14,7 +14,7 @@ from PIL import Image
 import esfem_core as ec
 from esfem_core.output import style
 from esfem_core.output.curved import refined
-from esfem_core.output.pictures import drawable
+from esfem_core.output.pictures import check_formulas
 
 
 def state(degree=2, refinements=1, t=0.5, **fields):
@@ -267,7 +267,7 @@ def test_without_matplotlib_or_plotly_the_message_says_what_to_install(tmp_path,
         "page": lambda: ec.animate(run()),
         "film": lambda: ec.animate(run(), film),
         "style": style,
-        "title": lambda: drawable("title", "$u$"),
+        "title": lambda: check_formulas("title", "$u$"),
     }
     monkeypatch.delenv("ESFEM_PLOTLY_JS", raising=False)
     with monkeypatch.context() as without:
