@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d import art3d
 from PIL import Image
 
 import esfem_core as ec
-from esfem_core.output import style
+from esfem_core.output import animation, style
 from esfem_core.output.curved import refined
 from esfem_core.output.pictures import check_formulas
 
@@ -174,6 +174,20 @@ def test_animate_writes_pages_and_films(tmp_path, monkeypatch):
     plain = [ec.State(s.t, s.x, space=s.space) for s in frames]
     assert ec.animate(plain, tmp_path / "plain.gif").exists()
     assert '"showscale":false' in ec.animate(plain).text
+
+
+@pytest.mark.parametrize("limits", [None, (-5.0, 7.0)])
+def test_all_frames_of_a_film_have_one_scale_of_colours_and_one_cube(monkeypatch, tmp_path, limits):
+    """A sphere of radius 1 + t that is coloured by its height."""
+    drawn = []
+    monkeypatch.setattr(animation, "draw", lambda ax, space, *more: drawn.append(more))
+    frames = [state(1, 0, t) for t in (0.0, 0.5, 1.0)]
+    ec.animate(frames, tmp_path / "film.gif", lambda s: s.x[:, 2], limits=limits)
+    for frame, (x, colours, shades, (middle, half)) in zip(frames, drawn[-3:], strict=True):
+        np.testing.assert_array_equal(x, frame.x)
+        np.testing.assert_array_equal(colours, frame.x[:, 2])
+        assert shades == (limits or (-2.0, 2.0))
+        np.testing.assert_array_equal([*middle, half], [0, 0, 0, 2])
 
 
 def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):

@@ -74,6 +74,13 @@ def test_a_description_tells_what_goes_and_comes_back(run, monkeypatch):
     )
 
 
+def test_an_animation_has_the_limits_it_is_given(run, monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    text = ec.animate(run, limits=(-5.25, 7.75)).text
+    assert '"cmin":-5.25' in text
+    assert '"cmax":7.75' in text
+
+
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     text = ec.animate(run).text
@@ -126,6 +133,27 @@ def test_convergence_plot_refuses_what_has_no_logarithm_or_no_slope():
         convergence_plot(ax, [0.1, 0.05], [[2.0, 1.0]], 3, "step")
     with pytest.raises(TypeError, match="ax must be axes of matplotlib, got None"):
         convergence_plot(None, [0.1, 0.05], {"u": [2.0, 1.0]}, 3, "step")
+
+
+def test_a_plot_shows_the_fitted_order_and_a_slope_below_all_curves():
+    """Three halvings; a factor of 8 in the second error tilts the line by 3/10."""
+    from matplotlib.figure import Figure
+
+    ax, h = Figure().subplots(), np.array([0.8, 0.4, 0.2, 0.1])
+    convergence_plot(ax, h, {"a": 3 * h**2 * [1, 8, 1, 1], "b": 2 * h**1.5}, 2, "h")
+    *curves, slope = ax.get_lines()
+    assert [line.get_label() for line in curves] == ["a (order 2.30)", "b (order 1.50)"]
+    x, y = slope.get_data()
+    np.testing.assert_allclose(x, [0.1, 0.8])
+    np.testing.assert_allclose(y, 0.5 * 2 * 0.8**-0.5 * x**2)  # b lies lowest at h = 0.8
+
+
+def test_a_size_is_a_fraction_only_if_it_is_one():
+    from matplotlib.figure import Figure
+
+    ax, h = Figure().subplots(), np.array([1 / 10, 0.0502, 1 / 40])
+    convergence_plot(ax, h, {"a": h}, 1, "h")
+    assert [text.get_text() for text in ax.get_xticklabels()] == ["1/10", "0.05", "1/40"]
 
 
 def test_curves_take_the_colours_and_markers_of_the_palette_in_turn():

@@ -100,6 +100,17 @@ def test_the_space_may_change_on_the_way(tmp_path):
         np.testing.assert_array_equal(meshio.read(tmp_path / name).cells[0].data, state.space.cells)
 
 
+def test_a_series_holds_two_states_of_one_time(tmp_path):
+    """As where new triangles are made: both are drawn."""
+    one, other = states(1)[0], states(3)[0]
+    assert ec.save_series(tmp_path / "run.pvd", [one, other]) is other
+    (t, first), (same, second) = entries(tmp_path / "run.pvd")
+    assert t == same
+    assert first != second
+    for state, name in ((one, first), (other, second)):
+        assert len(meshio.read(tmp_path / name).points) == len(state.x)
+
+
 def test_the_series_is_complete_after_each_state(tmp_path):
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
 
