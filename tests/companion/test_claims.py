@@ -44,6 +44,7 @@ def _no_book(monkeypatch):
         ({"at_most": 0.9999999}, False),
         ({"at_least": 0.5, "at_most": 1.5}, True),
         ({"at_least": 1.5, "at_most": 2.5}, False),
+        ({"at_least": 1.0, "at_most": 1.0}, True),
         ({"equals": 1.0}, True),
         ({"equals": 1.1}, False),
         ({"equals": 1.1, "tol": 0.2}, True),
@@ -115,6 +116,8 @@ def test_an_order_claimed_as_observed_is_bounded_from_both_sides():
     assert not measure_order("x", math.nan, 3).holds
     uneven = measure_order("x", 3.4, 3, below=0.1, above=0.5)
     assert (uneven.at_least, uneven.at_most) == (2.9, 3.5)
+    uneven = measure_order("x", 3.4, 3, below=0.5, above=0.1)
+    assert (uneven.at_least, uneven.at_most) == (2.5, 3.1)
     with pytest.raises(ValueError, match="below of 'x' must be a finite number >= 0, got -1"):
         measure_order("x", 3.0, 3, below=-1)
 
