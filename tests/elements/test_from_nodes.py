@@ -117,10 +117,13 @@ def test_elements_with_nodes_of_their_own_share_them_within_rounding(degree):
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_elements_that_share_their_nodes_are_left_alone(degree):
+    """Also where nodes are nearly at one place: of two spheres that are 1e-9 apart."""
     made = curved(degree)
-    found = curved_elements(elements(made.nodes, made.cells))
+    nodes = np.vstack([made.nodes, made.nodes + np.array([2 + 1e-9, 0, 0])])
+    cells = np.vstack([made.cells, made.cells + len(made.nodes)])
+    found = curved_elements(elements(nodes, cells))
     assert found.notes == []
-    np.testing.assert_array_equal(found.points, made.nodes)
+    np.testing.assert_array_equal(found.points, nodes)
 
 
 def test_of_an_element_given_twice_one_is_read_and_arrays_are_refused():
