@@ -37,6 +37,7 @@ __all__ = [
 
 HOLE = 12  # edges of the largest hole that is filled without being asked for
 LID = 200  # edges of the largest hole that a message offers to fill
+WORK = 4 * LID**3  # cubes of the edges of all holes up to which that is tried, for seconds
 SEPARATION = 1e-3  # how far a vertex that is split moves into its fan, over the fan's size
 FLIPS = 10  # sweeps over flat triangles
 
@@ -205,15 +206,18 @@ def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
     sides = sides_of(repaired(vertices, faces, 0).faces)
     lengths = [len(rim) for rim in rims(sides.start, sides.end, sides.times == 1)]
     largest = max(lengths, default=0)
-    if holes < largest <= LID:
+    if not holes < largest <= LID:
+        return left.advice
+    known = sum(n**3 for n in lengths) <= WORK
+    if known:
         attempt = repaired(vertices, faces, largest)
-        if fault(attempt.vertices, attempt.faces) is None:
-            return (
-                f"the theory is for closed surfaces, and {counted(len(lengths), 'hole')} of up to "
-                f"{largest} edges {'is' if len(lengths) == 1 else 'are'} open: "
-                f"tri = ec.repair(tri, holes={largest}) puts lids on them"
-            )
-    return left.advice
+        if fault(attempt.vertices, attempt.faces) is not None:
+            return left.advice
+    return (
+        f"the theory is for closed surfaces, and {counted(len(lengths), 'hole')} of up to "
+        f"{largest} edges {'is' if len(lengths) == 1 else 'are'} open: "
+        f"tri = ec.repair(tri, holes={largest}) {'puts' if known else 'may put'} lids on them"
+    )
 
 
 def without_unused(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:

@@ -1,6 +1,7 @@
 """What a repair does to a mesh, and what it leaves alone."""
 
 import contextlib
+import sys
 import tracemalloc
 
 import numpy as np
@@ -171,6 +172,33 @@ def test_holes_of_up_to_twelve_edges_are_filled_without_being_asked_for(edges):
     else:
         with pytest.raises(ValueError, match="holes=13"):
             ec.repair(tri, report=None)
+
+
+def tubes(count, n=180):
+    """Tubes beside each other with rims of n edges."""
+    angle, low = 2 * np.pi * np.arange(n) / n, np.arange(n)
+    ring, after = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.roll(low, -1)
+    faces = np.vstack([np.c_[low, after, after + n], np.c_[low, after + n, low + n]])
+    one = mesh(np.vstack([ring, np.array([0, 0, 1]) + ring]), faces)
+    return joined(*(one.copy().apply_translation([3 * i, 0, 0]) for i in range(count)))
+
+
+def test_many_large_lids_are_offered_without_having_been_made(monkeypatch):
+    """Those of twenty tubes took 39 s, for an error message."""
+    made = []
+
+    def lid(vertices, rim, taken):
+        made.append(len(rim))
+        return []
+
+    monkeypatch.setattr(sys.modules["esfem_core.surfaces.repair"], "lid_of", lid)
+    words = r"40 holes of up to 180 edges are open: tri = ec\.repair\(tri, holes=180\) may put lids"
+    with pytest.raises(ValueError, match=words):
+        ec.check_triangulation(tubes(20))
+    assert made == []
+    with pytest.raises(ValueError, match="close it with a program for meshes"):
+        ec.check_triangulation(tubes(1))
+    assert made == [180, 180]
 
 
 def test_holes_that_meet_in_a_vertex_are_filled_one_by_one():
