@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, function, whole_number
+from esfem_core.checks import Array, Bools, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
     Fault,
@@ -22,7 +22,13 @@ from esfem_core.surfaces.faults import (
 )
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
-from esfem_core.surfaces.orientation import shells, sides_of, turned_to_agree, with_turned
+from esfem_core.surfaces.orientation import (
+    components,
+    shells,
+    sides_of,
+    turned_to_agree,
+    with_turned,
+)
 from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging
 
 __all__ = [
@@ -55,7 +61,8 @@ def repair(
        those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it
        and no proper triangle vanishes);
     3. triangles with a corner twice are dropped, of those with the same three corners one is
-       kept, or none if they face each other; triangles without area are flipped away;
+       kept, or none if they are the two sides of a wall or a fin; triangles without area are
+       flipped away;
     4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
        into triangles which lie on each other, as those that are not convex, are cut anew;
     5. holes of up to `holes` edges are filled without new vertices, with the smallest area;
@@ -284,7 +291,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
 
 
 def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:
-    """Drop triangles with a corner twice, and all but one of those with the same corners."""
+    """Drop triangles with a corner twice, of those with the same corners all but one, and walls."""
     repeated = repeated_corners(faces)
     if repeated.any():
         steps.append(f"dropped {counted(repeated.sum(), 'triangle')} with a corner twice")
@@ -298,10 +305,38 @@ def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:
     if (count == 1).all():
         return faces
     sign = np.bincount(group, np.where(even, 1, -1), minlength=len(first))
+    facing = (count > 1) & (sign == 0)
+    if facing.any():
+        facing &= _are_walls(faces[first], facing)
     keep = np.zeros(len(faces), dtype=bool)
-    keep[first[(count == 1) | (sign != 0)]] = True
+    keep[first[~facing]] = True
     steps.append(f"dropped {counted((~keep).sum(), 'triangle')} that others cover")
     return faces[keep]
+
+
+def _are_walls(faces: Ints, facing: Bools) -> Bools:
+    """Which triangles to drop of those that face another one with the same corners, (T,).
+
+    Those that belong together, joined by edges of no other triangles, are a wall between two bodies
+    or a fin if dropping them leaves no wrong edge, and keeping one side of them does. Otherwise
+    one side is kept: they are a surface with two sides, or a part of one that is given twice.
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+        One of each pair.
+    facing : (T,) bool array
+        Which have another side.
+    """
+    sides = sides_of(faces)
+    own = np.repeat(facing, 3)
+    others = np.bincount(sides.edge, ~own)[sides.edge]  # sides of other triangles at the edge
+    keys = np.where(own & (others == 0), sides.edge, sides.edge.max() + 1 + np.arange(faces.size))
+    part = components(np.unique(keys, return_inverse=True)[1].reshape(-1, 3))
+    if_kept = np.bincount(part, (own & (sides.times != 2)).reshape(-1, 3).sum(axis=1))
+    if_dropped = np.bincount(part, (own & (others % 2 == 1)).reshape(-1, 3).sum(axis=1))
+    wall = facing & ((if_kept > 0) & (if_dropped <= if_kept))[part]
+    return np.asarray(wall if not wall.all() else np.zeros_like(wall))
 
 
 def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:

@@ -245,6 +245,33 @@ def test_boxes_with_a_common_wall_become_one_body():
     assert one.volume == pytest.approx(2)
 
 
+@pytest.mark.parametrize("doubled", [1, 2, 3, 6, 50, 80])
+@pytest.mark.parametrize("apart", [False, True])
+def test_of_a_surface_with_two_sides_one_is_kept(doubled, apart):
+    """Both were dropped: of a whole sphere nothing was left, of single triangles flat lids."""
+    both = mesh(SPHERE.vertices, np.vstack([SPHERE.faces, SPHERE.faces[:doubled, ::-1]]))
+    whole, said = repaired(soup(both) if apart else both)
+    assert f"dropped {doubled} triangle{'s' * (doubled > 1)} that others cover" in said
+    assert len(whole.faces) == 80
+    assert whole.volume == SPHERE.volume
+
+
+def test_of_a_half_with_two_sides_one_is_kept_alone_and_none_beside_a_body():
+    tri = half()
+    two = mesh(tri.vertices, np.vstack([tri.faces, tri.faces[:, ::-1]]))
+    lid, _ = repaired(tri, holes=30)
+    assert repaired(two, holes=30)[0].volume == lid.volume
+    beside = SPHERE.copy().apply_translation([3, 0, 0])
+    assert repaired(joined(beside, two))[0].volume == beside.volume
+
+
+def test_a_fin_of_two_sides_is_dropped():
+    a, b = SPHERE.faces[0, :2]
+    vertices = np.vstack([SPHERE.vertices, 1.3 * SPHERE.vertices[a]])
+    whole, _ = repaired(mesh(vertices, np.vstack([SPHERE.faces, [[a, b, 42], [42, b, a]]])))
+    assert whole.volume == SPHERE.volume
+
+
 @pytest.mark.parametrize("copies", [2, 3])
 def test_of_copies_of_a_surface_one_is_kept(copies):
     """Closed as each is, none would be merged; each lies in the other, and both turned inwards."""
