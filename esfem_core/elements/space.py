@@ -239,7 +239,12 @@ class SurfaceSpace:
             if found.text.startswith("the surface is not closed"):
                 advice = (
                     "neighbours must share their nodes, and SurfaceSpace.read makes one of nodes "
-                    f"nearer than 1e-8 of the diagonal{boundary_advice(nodes[corners], faces)}"
+                    f"nearer than 1e-6 of the diagonal{boundary_advice(nodes[corners], faces)}"
+                )
+            elif found.text.startswith("edges"):
+                advice = (
+                    "neighbours must share their nodes, as SurfaceSpace.read sees to, and the two "
+                    "sides of a slit lie farther apart than 1e-6 of the diagonal"
                 )
             elif found.text.startswith("the surface is not a manifold"):
                 advice = "keep those elements that bound the body, each once: cells = cells[keep]"
@@ -270,7 +275,7 @@ class SurfaceSpace:
             Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install "esfem-core[files]"``);
             elements of one degree, their nodes in the order that meshio gives them. Nodes outside
             of all elements are left out, and where neighbours do not share nodes, those at equal
-            places become one, or within 1e-8 of the diagonal. Of an element given twice one is
+            places become one, or within 1e-6 of the diagonal. Of an element given twice one is
             kept.
         exactness : int, optional
             As for the class.

@@ -5,7 +5,9 @@ import trimesh
 
 from esfem_core.checks import Array, Ints, flag
 from esfem_core.surfaces.faults import check_is_trimesh, fault
-from esfem_core.surfaces.repair import check_coordinates, remedy
+from esfem_core.surfaces.orientation import sides_of
+from esfem_core.surfaces.places import joined
+from esfem_core.surfaces.repair import check_coordinates, remedy, without_unused
 
 __all__ = ["boundary_advice", "check_triangulation"]
 
@@ -24,7 +26,8 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     tri : trimesh.Trimesh
     boundary : bool
         Accept edges of one triangle as well. A component that has some encloses no volume, and
-        may be oriented either way, neighbours alike.
+        may be oriented either way, neighbours alike. Two of them must not lie at one place, within
+        1e-6 of the diagonal: that is a seam.
 
     Raises
     ------
@@ -54,6 +57,8 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     if boundary:  # a repair would close it
         raise ValueError(f"{found.text}; {found.advice}")
     advice = remedy(vertices, faces, found) + boundary_advice(vertices, faces)
+    if found.text.startswith("the surface is not closed"):
+        advice += _seam_advice(vertices, faces)
     raise ValueError(f"{found.text}; {advice}")
 
 
@@ -65,7 +70,16 @@ def boundary_advice(vertices: Array, faces: Ints) -> str:
     >>> boundary_advice(np.eye(3), np.array([[0, 1, 2]]))
     '; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is'
     """
-    apart = len(np.unique(vertices + 0.0, axis=0)) < len(vertices)  # to be merged, not left open
-    if apart or fault(vertices, faces, boundary=True) is not None:
+    if fault(vertices, faces, boundary=True) is not None:
         return ""
     return "; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is"
+
+
+def _seam_advice(vertices: Array, faces: Ints) -> str:
+    """The same of a mesh with a boundary beside edges that only need to be joined."""
+    moved, _ = joined(vertices, faces)
+    if moved is faces or not (sides_of(moved).times == 1).any():
+        return ""
+    left = fault(*without_unused(vertices, moved, []), boundary=True)
+    how = "; where the motion is prescribed, a SurfaceSpace with boundary=True takes it after "
+    return f"{how}tri = ec.read_mesh(tri)" if left is None else ""

@@ -18,6 +18,7 @@ from esfem_core.surfaces.orientation import (
     sides_of,
     turned_to_agree,
 )
+from esfem_core.surfaces.places import NEAR, diagonal_of, merged
 
 __all__ = [
     "FARTHEST",
@@ -80,9 +81,9 @@ class Fault(NamedTuple):
 def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
-    Looked for in this order: triangles; finite vertices, each in some triangle;
-    triangles with three different corners and an area; every edge in two triangles; neighbours
-    oriented alike; triangles around a vertex forming one fan, so that
+    Looked for in this order: triangles; finite vertices, each in some triangle; triangles with
+    three different corners and an area; every edge in two triangles, and open ones not in pairs at
+    one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
     oriented outwards, or inwards if it is a cavity; no triangle lying on its neighbour.
 
@@ -116,6 +117,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         _of_vertices(vertices, faces)
         or _of_triangles(vertices, faces)
         or _of_edges(vertices, faces, sides, boundary)
+        or _of_seams(vertices, sides)
         or _of_neighbours(faces, sides)
         or _of_fans(len(vertices), faces, sides)
         or _of_shells(vertices, faces, sides)
@@ -265,6 +267,31 @@ def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fau
             "tri.update_faces(keep) with a bool for each triangle",
         )
     return None
+
+
+def _of_seams(vertices: Array, sides: Sides) -> Fault | None:
+    """Two open edges at one place: nothing would flow from one side of them to the other."""
+    is_open = np.flatnonzero(sides.times == 1)
+    if len(is_open) == 0:
+        return None
+    ends = np.stack([sides.start[is_open], sides.end[is_open]])
+    used, number = np.unique(ends, return_inverse=True)
+    place = merged(vertices[used], NEAR[-1] * diagonal_of(vertices))[number.reshape(ends.shape)]
+    _, edge, times = np.unique(
+        np.sort(place, axis=0), axis=1, return_inverse=True, return_counts=True
+    )
+    edge = edge.ravel()
+    seam = np.flatnonzero((times[edge] == 2) & (place[0] != place[1]))
+    if len(seam) == 0:
+        return None
+    one, other = is_open[np.flatnonzero(edge == edge[seam[0]])]
+    return Fault(
+        f"edges ({sides.start[one]}, {sides.end[one]}) of triangle {one // 3} and "
+        f"({sides.start[other]}, {sides.end[other]}) of triangle {other // 3} lie at the same "
+        f"place, but are open ({len(seam) // 2} such pairs)",
+        "tri = ec.read_mesh(tri) makes one of their vertices; the two sides of a slit must lie "
+        f"farther apart than {NEAR[-1]:g} of the diagonal",
+    )
 
 
 def _of_neighbours(faces: Ints, sides: Sides) -> Fault | None:

@@ -30,7 +30,7 @@ from esfem_core.checks import (
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
-from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging
+from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, merging, repeated
 from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
@@ -89,9 +89,9 @@ def read_mesh(
     Polygons are cut into triangles, the parts of a scene are put in their places and joined,
     bodies of tetrahedra and hexahedra are replaced by their boundary, and of curved elements the
     corners are taken (:meth:`esfem_core.SurfaceSpace.read` keeps them curved). If triangles do not
-    share vertices, as in STL files and along seams of textures, vertices at equal places become
-    one. Points without triangles are left out. All else is as it is in the file: see
-    :func:`esfem_core.repair`.
+    share vertices, as in STL files and along seams, vertices at equal places become one, or within
+    1e-6 of the diagonal if only that closes more of the surface. Points without triangles are left
+    out. All else is as it is in the file: see :func:`esfem_core.repair`.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def curved_elements(source: Any) -> Elements:
     """Nodes and Lagrange triangles of one degree, for :meth:`esfem_core.SurfaceSpace.read`.
 
     Nodes that belong to no element are left out; if elements do not share nodes, those at equal
-    places become one, or within 1e-8 of the diagonal. Of an element given twice one is kept.
+    places become one, or within 1e-6 of the diagonal. Of an element given twice one is kept.
 
     Parameters
     ----------
@@ -258,10 +258,12 @@ def curved_elements(source: Any) -> Elements:
 def _with_shared_nodes(nodes: Array, cells: Ints, notes: list[str]) -> tuple[Array, Ints]:
     """Nodes at one place as one, to rounding, where neighbours do not share those on their edge."""
     diagonal = diagonal_of(nodes)
-    for near in NEAR[:2]:
+    for near in NEAR:
         if _share_nodes(cells):
             break
         place = merged(nodes, near * diagonal)[cells]
+        if near and (repeated(place) & ~repeated(cells)).any():
+            break  # that is no rounding: nodes of one element would be one
         count = len(np.unique(place))
         if count < len(nodes):
             notes.append(merging(len(nodes), "nodes", count, near * diagonal))
@@ -525,15 +527,12 @@ def _fans(polygons: list[Ints]) -> Iterator[Ints]:
 
 
 def _joined(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
-    """Equal vertices as one, if that closes more of the surface."""
-    is_open = (sides_of(faces).times == 1).sum()
-    if is_open == 0:
+    """Vertices at one place as one, if that closes more of the surface."""
+    moved, distance = joined(vertices, faces)
+    if moved is faces:
         return vertices, faces
-    place = merged(vertices, 0)[faces]
-    if (sides_of(place).times == 1).sum() >= is_open:
-        return vertices, faces
-    steps.append(merging(len(vertices), "vertices", len(np.unique(place)), 0))
-    return without_unused(vertices, place, [])
+    steps.append(merging(len(vertices), "vertices", len(np.unique(moved)), distance))
+    return without_unused(vertices, moved, [])
 
 
 def _scale(found: Elements, unit: str | None) -> tuple[float, str | None]:

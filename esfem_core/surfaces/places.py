@@ -5,9 +5,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Ints
+from esfem_core.checks import Array, Bools, Ints
+from esfem_core.surfaces.orientation import sides_of
 
-__all__ = ["NEAR", "diagonal_of", "merged", "merging"]
+__all__ = ["NEAR", "diagonal_of", "joined", "merged", "merging", "repeated"]
 
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 
@@ -54,3 +55,44 @@ def merging(before: int, what: str, after: int, distance: float) -> str:
     """What :func:`merged` has done, for the notes of a repair."""
     where = f"within {distance:.1g}" if distance else "at the same places"
     return f"merged {before} {what} into {after} {where}"
+
+
+def joined(vertices: Array, faces: Ints) -> tuple[Ints, float]:
+    """Triangles, (T, 3), whose vertices at one place are one if that closes more of the surface.
+
+    Vertices may be merged that are as far apart as rounding puts them, and as little as closes
+    most: along seams, where programs go once around. No triangle may vanish whose vertices
+    are at three places.
+
+    Returns
+    -------
+    faces : (T, 3) int array
+    distance : float
+        Within which vertices are one.
+
+    Examples
+    --------
+    >>> x = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 1e-9], [0, 1, 0], [1, 1, 0]])
+    >>> joined(x, np.array([[0, 1, 2], [3, 5, 4]]))[0].tolist()
+    [[0, 1, 2], [1, 5, 2]]
+    """
+    best, distance, size = faces, 0.0, diagonal_of(vertices)
+    is_open = _open_edges(faces)
+    whole = ~repeated(merged(vertices, 0)[faces])
+    for near in NEAR:
+        if is_open == 0:
+            break
+        moved = merged(vertices, near * size)[faces]
+        if _open_edges(moved) < is_open and not (repeated(moved) & whole).any():
+            best, distance, is_open = moved, near * size, _open_edges(moved)
+    return best, distance
+
+
+def _open_edges(faces: Ints) -> int:
+    return int((sides_of(faces).times == 1).sum())
+
+
+def repeated(cells: Ints) -> Bools:
+    """Which rows have a number twice."""
+    ordered = np.sort(cells, axis=1)
+    return np.asarray((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))

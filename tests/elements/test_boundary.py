@@ -57,6 +57,71 @@ def test_triangles_that_only_need_to_be_joined_are_not_offered_as_a_surface_with
     assert "boundary" not in str(error.value)
 
 
+def around_the_pole(dtype=float, n=4):
+    """A hemisphere by longitude and latitude, its columns at 0 and at 2 pi at nearly one place."""
+    m = 4 * n
+    up, around = np.meshgrid(
+        np.linspace(0, np.pi / 2, n + 1, dtype=dtype),
+        np.linspace(0, 2 * np.pi, m + 1, dtype=dtype),
+        indexing="ij",
+    )
+    x = np.stack([np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1)
+    a = np.arange((n + 1) * (m + 1)).reshape(n + 1, m + 1)
+    corners = a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]
+    one, other = (np.stack([corners[i] for i in c], axis=-1) for c in ([0, 1, 2], [0, 2, 3]))
+    faces = np.vstack([one.reshape(-1, 3), other[1:].reshape(-1, 3)])
+    used, faces = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(
+        x.reshape(-1, 3)[used].astype(float), faces.reshape(-1, 3), process=False
+    )
+
+
+@pytest.mark.parametrize("dtype", [float, np.float32])
+def test_a_seam_is_no_boundary_and_the_advice_closes_it(dtype):
+    """It was taken as it is: 24 boundary nodes, and nothing flowed through the seam."""
+    tri = around_the_pole(dtype)
+    with pytest.raises(
+        ValueError, match=r"boundary=True takes it after tri = ec\.read_mesh\(tri\)$"
+    ):
+        ec.SurfaceSpace(tri)
+    words = (
+        r"lie at the same place, but are open \(19 such pairs\); tri = ec\.read_mesh\(tri\) makes"
+    )
+    with pytest.raises(ValueError, match=words):
+        ec.SurfaceSpace(tri, boundary=True)
+    with pytest.raises(ValueError, match=r"\(19 such pairs\); neighbours must share their nodes"):
+        ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True)
+    meshio = pytest.importorskip("meshio")
+    as_file = meshio.Mesh(tri.vertices, [("triangle", tri.faces)])
+    for space in (
+        ec.SurfaceSpace(ec.read_mesh(tri, report=None), boundary=True),
+        ec.SurfaceSpace.read(as_file, report=None, boundary=True),
+    ):
+        assert len(space.boundary_nodes) == 16
+        np.testing.assert_allclose(space.nodes[space.boundary_nodes, 2], 0, atol=1e-7)
+
+
+def test_a_soup_of_triangles_is_no_surface_with_a_boundary():
+    corners = SPHERE.triangles.reshape(-1, 3)
+    cells = np.arange(len(corners)).reshape(-1, 3)
+    with pytest.raises(ValueError, match=r"are open \(192 such pairs\)"):
+        ec.SurfaceSpace(trimesh.Trimesh(corners, cells, process=False), boundary=True)
+
+
+@pytest.mark.parametrize(("width", "fit"), [(1e-7, False), (1e-5, True)])
+def test_a_slit_is_taken_where_its_sides_are_apart(width, fit):
+    below, above = [[0, -1], [1, -1], [2, -1], [0, 0], [1, 0], [2, 0]], [[2, width]]
+    x = np.pad(np.array([*below, *above, [0, 1], [1, 1], [2, 1]], float), ((0, 0), (0, 1)))
+    lower = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]
+    upper = [[3, 4, 8], [3, 8, 7], [4, 6, 9], [4, 9, 8]]
+    slit = trimesh.Trimesh(x, lower + upper, process=False)
+    if fit:
+        assert len(ec.SurfaceSpace(slit, boundary=True).boundary_nodes) == 10
+        return
+    with pytest.raises(ValueError, match="the two sides of a slit must lie farther apart than 1e-"):
+        ec.SurfaceSpace(slit, boundary=True)
+
+
 def strip(twists, n=12):
     """A band of 2n triangles, closed after some half twists."""
     angle = 2 * np.pi * np.arange(n) / n
