@@ -15,7 +15,7 @@ from esfem_core.checks import (
     real_array,
     whole_number,
 )
-from esfem_core.surfaces.faults import check_is_trimesh
+from esfem_core.surfaces.faults import FARTHEST, check_is_trimesh
 
 __all__ = ["Solid", "bisected_sphere", "displaced", "sphere", "to_unit_sphere", "torus"]
 
@@ -113,7 +113,7 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     Parameters
     ----------
     R, r : float
-        Radius of the core circle and of the tube, R > r > 0.
+        Radius of the core circle and of the tube, R > r > 0, together up to 1e75.
     n, m : int
         Numbers of cells around the axis and around the tube, 3 to 10,000; each cell is two
         triangles. They are most even for n/m near R/r. A tube of few cells around the axis is far
@@ -138,6 +138,8 @@ def torus(R: float = 1.0, r: float = 0.4, n: int = 20, m: int = 8) -> trimesh.Tr
     R, r = number("R", R, above=0), number("r", r, above=0)
     if r >= R:
         raise ValueError(f"R must be larger than r, got R = {R:g} and r = {r:g}")
+    if R + r > FARTHEST:
+        raise ValueError(f"R + r must be up to {FARTHEST:g}, got R = {R:g} and r = {r:g}")
     n, m = whole_number("n", n, 3, MOST_CELLS), whole_number("m", m, 3, MOST_CELLS)
     # trimesh.creation.torus has changed its diagonals, and with them all numbers, at version 5.
     around, along = np.linspace(0, 2 * np.pi, n + 1)[:-1, None], np.linspace(0, 2 * np.pi, m + 1)

@@ -108,6 +108,7 @@ def test_a_point_without_a_closest_one_on_the_unit_sphere_is_shown(point, axes):
         (lambda: bisected_sphere(-1), "bisections must be an integer from 0 to 24, got -1"),
         (lambda: bisected_sphere(1.5), "bisections must be an integer from 0 to 24, got 1.5"),
         (lambda: ec.torus(1.0, 1.0), "R must be larger than r, got R = 1 and r = 1"),
+        (lambda: ec.torus(1.7e308, 1e308), r"R \+ r must be up to 1e\+75, got R = 1\.7e\+308 and"),
         (lambda: ec.torus(1.0, 0.0), "r must be a finite number > 0, got 0"),
         (lambda: ec.torus(np.inf, 1.0), "R must be a finite number > 0, got inf"),
         (lambda: ec.torus(n=2), "n must be an integer from 3 to 10000, got 2"),
