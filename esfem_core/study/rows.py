@@ -176,6 +176,8 @@ def read(path: str | Path) -> list[Row]:
 def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     """Rows with these parameters; values are the same that are the same case.
 
+    None finds rows without the parameter, too: what was not given had its default.
+
     Examples
     --------
     >>> rows = [Row({"order": p, "step": s}, {}, {}) for p in (1, 2) for s in (0.1, 0.05)]
@@ -184,11 +186,7 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     """
     wanted = {name: plain(name, value) for name, value in parameters.items()}
     key = case_key(wanted)
-    return [row for row in rows if case_key(_only(wanted, row.parameters)) == key]
-
-
-def _only(names: Iterable[str], parameters: Parameters) -> Parameters:
-    return {name: parameters[name] for name in names if name in parameters}
+    return [row for row in rows if case_key({n: row.parameters.get(n) for n in wanted}) == key]
 
 
 def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:

@@ -214,7 +214,8 @@ def test_rows_are_selected_by_what_tells_cases_apart(tmp_path):
     for value, row in zip(values, rows, strict=True):
         assert select(rows, v=value) == [row]
     assert select(rows, v=1.0) == rows[:1]
-    assert select(rows, other=None) == []
+    assert select(rows, other=None) == rows
+    assert select(rows, other=1) == []
 
 
 @pytest.mark.parametrize("values", ["updated", 3, np.array(2)])
