@@ -18,7 +18,7 @@ from esfem_core.surfaces.orientation import (
     sides_of,
     turned_to_agree,
 )
-from esfem_core.surfaces.places import NEAR, diagonal_of, merged
+from esfem_core.surfaces.places import NEAR, diagonal_of, merged, repeated
 
 __all__ = [
     "FARTHEST",
@@ -28,7 +28,6 @@ __all__ = [
     "fans",
     "fault",
     "flat_triangles",
-    "repeated_corners",
 ]
 
 # Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
@@ -125,12 +124,6 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     )
 
 
-def repeated_corners(faces: Ints) -> Bools:
-    """Which triangles have a corner twice, (T,)."""
-    a, b, c = faces.T
-    return np.asarray((a == b) | (b == c) | (c == a))
-
-
 def flat_triangles(vertices: Array, faces: Ints) -> Bools:
     """Which triangles have no area to speak of, (T,): the limit for elements of a run, too."""
     area, squares = _areas(vertices, faces)
@@ -218,9 +211,9 @@ def _of_elements(vertices: Array, faces: Ints) -> Fault | None:
 
 
 def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
-    repeated = repeated_corners(faces)
-    if repeated.any():
-        t = int(np.argmax(repeated))
+    twice = repeated(faces)
+    if twice.any():
+        t = int(np.argmax(twice))
         return Fault(
             f"triangle {t} is degenerate: its corners {faces[t].tolist()} repeat", "remove it"
         )

@@ -18,7 +18,6 @@ from esfem_core.surfaces.faults import (
     fans,
     fault,
     flat_triangles,
-    repeated_corners,
 )
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
@@ -29,7 +28,7 @@ from esfem_core.surfaces.orientation import (
     turned_to_agree,
     with_turned,
 )
-from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging
+from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging, repeated
 
 __all__ = [
     "Repaired",
@@ -248,7 +247,7 @@ def _without_copies(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
     turned = np.take_along_axis(places, (first[:, None] + np.arange(3)) % 3, axis=1)
     again = np.ones(len(known), dtype=bool)
     again[np.unique(turned, axis=0, return_index=True)[1]] = False
-    again &= ~repeated_corners(places)  # smaller than the distance
+    again &= ~repeated(places)  # smaller than the distance
     if again.any():
         steps.append(f"dropped {counted(again.sum(), 'triangle')} at the places of others")
     return np.delete(faces, known[again], axis=0)
@@ -271,7 +270,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
         said: list[str] = []
         if near is not None:
             place = merged(x, near * diagonal)
-            gone = repeated_corners(place[f]) & ~repeated_corners(f)
+            gone = repeated(place[f]) & ~repeated(f)
             if near and (gone & ~flat_triangles(x, f)).any():
                 continue  # that is no rounding: proper triangles would vanish
             f = place[f]
@@ -292,10 +291,10 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
 
 def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:
     """Drop triangles with a corner twice, of those with the same corners all but one, and walls."""
-    repeated = repeated_corners(faces)
-    if repeated.any():
-        steps.append(f"dropped {counted(repeated.sum(), 'triangle')} with a corner twice")
-        faces = faces[~repeated]
+    twice = repeated(faces)
+    if twice.any():
+        steps.append(f"dropped {counted(twice.sum(), 'triangle')} with a corner twice")
+        faces = faces[~twice]
     order = np.argsort(faces, axis=1)
     even = ((order[:, 1] - order[:, 0]) % 3) == 1  # a rotation of the sorted corners
     _, first, group, count = np.unique(
