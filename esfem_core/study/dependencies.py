@@ -147,7 +147,7 @@ def _reached_from(
 ) -> dict[tuple[str, str], str]:
     found: dict[tuple[str, str], str] = {}
     named: set[str] = set()
-    methods: dict[str, list[tuple[str, str]]] = {}  # of classes found, by name
+    methods: dict[str, list[tuple[str, str]]] = {}  # of classes found, not yet named, by name
     while waiting:
         key = waiting.pop()
         if key in found:
@@ -158,8 +158,8 @@ def _reached_from(
         waiting += definition.targets
         for method in definition.methods:
             methods.setdefault(method.rpartition(".")[2], []).append((key[0], method))
-        for name in methods.keys() if whole else methods.keys() & named:
-            waiting += methods[name]
+        for name in list(methods) if whole else methods.keys() & named:
+            waiting += methods.pop(name)
     return found
 
 
