@@ -451,7 +451,8 @@ def test_a_folder_that_is_renamed_in_mid_study_costs_no_row(tmp_path):
     assert [len(read(path / "compute.jsonl")) for path in (other, folder)] == [1, 2]
 
 
-def test_rows_are_set_aside_when_nothing_can_be_written_any_more(tmp_path):
+def spoilt(tmp_path):
+    """A folder, and a function after which nothing can be written there."""
     folder = tmp_path / "results"
 
     def compute(size):
@@ -459,6 +460,11 @@ def test_rows_are_set_aside_when_nothing_can_be_written_any_more(tmp_path):
         folder.touch()
         return {"size": size}
 
+    return folder, compute
+
+
+def test_rows_are_set_aside_when_nothing_can_be_written_any_more(tmp_path):
+    folder, compute = spoilt(tmp_path)
     with (
         pytest.warns(StudyWarning, match="cannot be written"),
         pytest.warns(StudyWarning, match=r"1 finished rows could not be written .*They are kept"),
@@ -468,13 +474,7 @@ def test_rows_are_set_aside_when_nothing_can_be_written_any_more(tmp_path):
 
 
 def test_a_loop_that_is_left_at_the_last_case_tells_where_its_row_is(tmp_path):
-    folder = tmp_path / "results"
-
-    def compute(size):
-        folder.rename(tmp_path / "renamed")
-        folder.touch()
-        return {"size": size}
-
+    folder, compute = spoilt(tmp_path)
     coming = ec.study.outcomes(
         [ec.study.Experiment("a", "", compute, [[{"size": 1}]])], folder, workers=0
     )
