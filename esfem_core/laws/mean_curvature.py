@@ -61,11 +61,11 @@ class MeanCurvature(Law):
         Weight of the mean curvature H, positive.
     g : callable, optional
         Speed along the normal: ``g(x, t)`` at points (N, 3), returning (N,); or ``g(at)`` on a
-        :class:`esfem_core.Surface`, (T, Q), which may depend on species; or a number, which holds
-        everywhere. Its gradient is that of
-        a finite element function: of the nodal values of g(x, t), or of the nodal averages of
-        g(at), see :func:`esfem_core.elements.recovery.nodal_average`. Two arguments without
-        defaults make it g(x, t), one makes it g(at). None is zero.
+        :class:`esfem_core.Surface`, (T, Q), which may depend on species. Either may return a
+        number, which holds everywhere. Its gradient is that of a finite element function: of the
+        nodal values of g(x, t), or of the nodal averages of g(at), see
+        :func:`esfem_core.elements.recovery.nodal_average`. Two arguments without defaults make it
+        g(x, t), one makes it g(at). None is zero.
     normal, curvature : callable or array, optional
         Initial values: of points (N, 3) of the initial surface, or nodal ones; such as the methods
         `normal` and `mean_curvature` of an exact surface in

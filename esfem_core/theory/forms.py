@@ -99,8 +99,7 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) ->
         Node positions.
     tensor : (T, Q, 3, 3) float array, optional
         Symmetric, at the quadrature points; the identity, which gives the stiffness matrix of a,
-        if None.
-        With ``lift(space, x, surface).tensor`` it is the matrix of a on the exact surface.
+        if None. With ``lift(space, x, surface).tensor`` it is the matrix of a on the exact surface.
 
     Returns
     -------
