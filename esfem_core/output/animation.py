@@ -100,34 +100,40 @@ def animate(
         check_formulas("title", title)
         check_formulas("label", label or "")
         _writer(file)
-    frames: list[Shot] = []
-    drawn = ""
-    # Each state is looked at when it comes: those after it may take long.
-    each = [states] if isinstance(states, State) else iterable("states", states, "States")
-    for i, s in enumerate(each):
-        space = known_space(s, f"states[{i}]")
-        check_state(space, s, f"states[{i}]")
-        called, colours = nodal_values(s, values)
-        function_drawn = "none" if colours is None else repr(called)
-        drawn = drawn or function_drawn
-        if function_drawn != drawn:
-            raise ValueError(
-                f"states must have the same function to draw, but states[{i}] has "
-                f"{function_drawn}, those before {drawn}; values may name one, or be a function "
-                "of a state"
-            )
-        label = called if label is None else label
-        frames.append(Shot(space, s.t, s.x, colours))
-    if label is None:
-        raise ValueError("states must hold at least one State, got none")
+    name, shots = _shots(states, values)
+    label = name if label is None else label
     if file is not None and is_film:
-        return _film(file, frames, title, label, limits, duration)
-    page = viewer(frames, title, label, duration, limits)
+        return _film(file, shots, title, label, limits, duration)
+    page = viewer(shots, title, label, duration, limits)
     if file is None:
         return page
     text = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'
     write_whole(file, f"{text}</title></head><body>{page.text}</body></html>\n".encode())
     return file
+
+
+def _shots(states: Iterable[State], values: Values) -> tuple[str, list[Shot]]:
+    """Name of the function to draw, and a frame for each state."""
+    shots: list[Shot] = []
+    first: tuple[str, bool] | None = None
+    # Each state is looked at when it comes: those after it may take long.
+    each = [states] if isinstance(states, State) else iterable("states", states, "States")
+    for i, s in enumerate(each):
+        space = known_space(s, f"states[{i}]")
+        check_state(space, s, f"states[{i}]")
+        name, colours = nodal_values(s, values)
+        drawn = name, colours is None
+        first = first or drawn
+        if drawn != first:
+            here, before = ("none" if plain else repr(called) for called, plain in (drawn, first))
+            raise ValueError(
+                f"states must have the same function to draw, but states[{i}] has {here}, those "
+                f"before {before}; values may name one, or be a function of a state"
+            )
+        shots.append(Shot(space, s.t, s.x, colours))
+    if first is None:
+        raise ValueError("states must hold at least one State, got none")
+    return first[0], shots
 
 
 def _writer(file: Path) -> Any:
