@@ -1,11 +1,12 @@
 """Steps in time: linearly implicit BDF of order p."""
 
 from esfem_core.stepping import bdf
-from esfem_core.stepping.checkpoints import load, respaced, save
+from esfem_core.stepping.checkpoints import load, save
 from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.remeshing import remeshed
+from esfem_core.stepping.respacing import respaced
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
 from esfem_core.stepping.start import exact_state

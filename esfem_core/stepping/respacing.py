@@ -1,0 +1,147 @@
+"""Runs that go on with another step: states interpolated in time."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from esfem_core.checks import Array, items, number, whole_number
+from esfem_core.elements import SurfaceSpace
+from esfem_core.solvers import DirectSolver, superlu
+from esfem_core.stepping.bdf import MOST_STEPS, combine
+from esfem_core.stepping.checkpoints import space_of
+from esfem_core.stepping.state import Method, State
+from esfem_core.stepping.times import later
+
+__all__ = ["respaced"]
+
+MOST = 6  # states that are made for another step, unless an order asks for more
+SAME_TIME = 1e-9  # relative to the step
+ROUNDING = 1e-3  # of times, relative to the step
+OWN_MASS = 1e-10  # how well, relatively, a product is M(x) w for the positions x of its own state
+
+
+def respaced(states: Sequence[State], step: float, order: int | None = None) -> list[State]:
+    """States with another step between them, to go on with: the last one stays what it is.
+
+    Positions and functions are interpolated in time by polynomials through the states nearest to
+    each new time. Of conserved functions w it is the amounts M w that are interpolated, so that
+    their sums stay exactly what they are; where M is the mass matrix of the state's own surface
+    (mass="updated"), w then solves M(x) w = (interpolated amounts). So from p + 1 states, whose
+    interpolation has an error O(tau^{p+1}), a run of order p goes on with its order; p states,
+    with O(tau^p), do as well, with larger errors of v in the first steps.
+
+    Parameters
+    ----------
+    states : sequence of State
+        Of one space, in the order of time, not necessarily a step apart. They must reach back
+        over the p - 1 new steps before the last one.
+    step : float
+        The new step.
+    order : int, optional
+        Order p of the run that goes on: exactly p states are made, from p + 1 of the given ones
+        each. If not given, all that the given ones reach back for, six at most, from seven each;
+        `evolve` takes the last p.
+
+    Returns
+    -------
+    list of State
+        For ``evolve(..., step=step, start=states)``; v is None in new ones.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the states do not fit together, or do not reach back far enough, or if the step is lost
+        in the rounding of the times.
+
+    Examples
+    --------
+    A run of order 2 goes on with a third of its step:
+
+    >>> import esfem_core as ec
+    >>> space, problem = ec.SurfaceSpace(ec.sphere("octahedron", 2)), ec.problems.growing_sphere()
+    >>> states = list(ec.evolve(space, problem, order=2, step=0.3, end=0.9))
+    >>> start = ec.respaced(states[-3:], 0.1, order=2)
+    >>> [state.t for state in start]
+    [0.8, 0.9]
+    >>> *_, last = ec.evolve(space, problem, order=2, step=0.1, end=1.0, start=start)
+    """
+    given = items("states", states, State)
+    space = space_of(given)
+    step = number("step", step, above=0)
+    if abs(given[-1].t - later(given[-1].t, -step) - step) > ROUNDING * step:
+        raise ValueError(
+            f"step must be larger against the time, t = {given[-1].t:g}, got {step:g}: the times "
+            "of such steps are not told apart"
+        )
+    p = None if order is None else whole_number("order", order, 1, MOST_STEPS)
+    nearest = MOST + 1 if p is None else p + 1
+    times = [given[-1].t]
+    while len(times) < (p or MOST) and later(times[-1], -step) > given[0].t - SAME_TIME * step:
+        times.append(later(times[-1], -step))
+    if p is not None and len(times) < p:
+        raise ValueError(
+            f"states must reach back to t = {given[-1].t - (p - 1) * step:g} for order {p} and "
+            f"step {step:g}, but the first is of t = {given[0].t:g}: give more of the last states, "
+            "or take a smaller step"
+        )
+    found = [_at_time(space, given, t, step, nearest) for t in reversed(times)]
+    return [_for_step(state, given[-1].method, p, step) for state in found]
+
+
+def _for_step(state: State, method: Method | None, order: int | None, step: float) -> State:
+    """The state, its products belonging to the method with another step."""
+    if method is not None:
+        method = (method[0], order or method[1], step)
+    if not state.products or state.method == method:
+        return state
+    return State(
+        state.t,
+        state.x,
+        state.v,
+        space=state.space,
+        fields=state.fields,
+        products=state.products,
+        method=method,
+    )
+
+
+def _at_time(
+    space: SurfaceSpace, states: Sequence[State], t: float, step: float, nearest: int
+) -> State:
+    """The state at a time, interpolated through those nearest to it."""
+    near = sorted(states, key=lambda s: abs(s.t - t))[:nearest]
+    if abs(near[0].t - t) <= SAME_TIME * step:
+        return near[0]
+    near.sort(key=lambda s: s.t)
+    weights = _lagrange(np.array([s.t for s in near]), t)
+    x = combine(weights, [s.x for s in near])
+    fields, products, M = {}, {}, None
+    any_products = any(s.products for s in near)
+    for name in near[0].fields:
+        fields[name] = combine(weights, [s[name] for s in near])
+        if any_products and not any(name in s.products for s in near):
+            continue  # not conserved
+        own = [space.mass_times(s.x, s[name]) for s in near]
+        amounts = [s.products.get(name, b) for s, b in zip(near, own, strict=True)]
+        products[name] = combine(weights, amounts)
+        if all(_close(a, b) for a, b in zip(amounts, own, strict=True)):
+            M = space.mass(x) if M is None else M
+            solver = DirectSolver(partial(superlu, order=space.elimination_order))
+            fields[name] = solver.solve(M, products[name], fields[name])
+    return State(t, x, None, space=space, fields=fields, products=products)
+
+
+def _close(a: Array, b: Array) -> bool:
+    return bool(np.abs(a - b).max() <= OWN_MASS * np.abs(b).max())
+
+
+def _lagrange(times: Array, t: float) -> list[float]:
+    """Weights of the values at some times in the value at t of the polynomial through them.
+
+    Examples
+    --------
+    >>> _lagrange(np.array([0.0, 1.0, 2.0]), 0.5)
+    [0.375, 0.75, -0.125]
+    """
+    return [float(np.prod([(t - b) / (a - b) for b in times if b != a])) for a in times]
