@@ -1,9 +1,9 @@
 """Tables for people."""
 
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-__all__ = ["Html", "html_table"]
+__all__ = ["Html", "html_table", "text_table"]
 
 
 class Html:
@@ -68,6 +68,23 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
         f'<div class="{css}"><table>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>",
         "\n".join(" ".join(map(str, line)) for line in [heads, *lines]),
+    )
+
+
+def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], least: int = 0) -> str:
+    """Columns beside each other, set to the right, none narrower than `least` letters.
+
+    Examples
+    --------
+    >>> print(text_table(["p", "order"], [["1", "0.99"]]))
+    p  order
+    1   0.99
+    """
+    lines = [header, *rows]
+    widths = [max(least, *map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
+        for line in lines
     )
 
 

@@ -24,7 +24,7 @@ from esfem_core.study.campaign import (
 )
 from esfem_core.study.locks import StudyWarning
 from esfem_core.study.rows import Parameters, Row, case_key
-from esfem_core.tables import html_table
+from esfem_core.tables import html_table, text_table
 
 __all__ = ["Results", "grid", "run"]
 
@@ -70,13 +70,7 @@ class Results:
         return list(names), cells
 
     def __str__(self) -> str:
-        header, cells = self._cells()
-        widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
-        lines = [
-            "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True))
-            for row in [header, *cells]
-        ]
-        return "\n".join([*lines, *self._notes()])
+        return "\n".join([text_table(*self._cells()), *self._notes()])
 
     def _notes(self) -> list[str]:
         return [f"failed: {_named(f.parameters)}: {_named_error(f.error)}" for f in self.failures]

@@ -27,7 +27,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.errors import Errors, Measure, compare, difference, lifted
 from esfem_core.problems import Problem
 from esfem_core.stepping import State, check_state, evolve, same_time
-from esfem_core.tables import html_table
+from esfem_core.tables import html_table, text_table
 
 __all__ = ["ConvergenceTable", "final", "observed_orders", "space_study", "time_study"]
 
@@ -263,12 +263,7 @@ class ConvergenceTable:
         return header, [list(row) for row in zip(*columns, strict=True)]
 
     def __str__(self) -> str:
-        header, rows = self._cells()
-        widths = [max(9, *map(len, column)) for column in zip(header, *rows, strict=True)]
-        return "\n".join(
-            "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-            for row in [header, *rows]
-        )
+        return text_table(*self._cells(), least=9)
 
     def _repr_html_(self) -> str:
         header, rows = self._cells()
