@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, Ints, number, shown
+from esfem_core.checks import Array, Ints, number, object_of, shown
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import positions_of
 from esfem_core.problems import Problem
@@ -112,8 +112,8 @@ def remeshed(
             "states must be on a closed surface, but theirs has a boundary of "
             f"{len(space.boundary_nodes)} nodes: new triangles would not keep that"
         )
-    if problem is not None and not isinstance(problem, Problem):
-        raise TypeError(f"problem must be a Problem, got {shown(problem)}")
+    if problem is not None:
+        object_of("problem", problem, Problem, "or None")
     conserved = _conserved(given, problem)
     _check_fixed(problem)
     x = given[-1].x
