@@ -24,7 +24,7 @@ import sys
 import tarfile
 import urllib.request
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
@@ -168,6 +168,13 @@ def described(wheel: Path) -> Entry:
     }
 
 
+def own_wheels() -> dict[str, Path]:
+    """Return the wheels of the kernel, and that of the book, by name."""
+    kernel = Path(sys.prefix, "share/jupyter/labextensions/@jupyterlite").rglob("*.whl")
+    ours = (BOOK / "wheel").glob("*.whl")
+    return {canonical(path.name.split("-")[0]): path for path in (*kernel, *ours)}
+
+
 class Distribution:
     """Pyodide, in a folder or at an address, and the wheels that it lacks."""
 
@@ -184,20 +191,9 @@ class Distribution:
         self.lock = json.loads(text)
         self.wheels = WORK / "wheels"
         self.wheels.mkdir(parents=True, exist_ok=True)
-        self.own = self.built()
+        self.own = own_wheels()
         lines = (ROOT / "requirements.lock").read_text("utf8").splitlines()
         self.pins = dict(line.split("==") for line in lines if "==" in line)
-
-    def built(self) -> dict[str, Path]:
-        """Return the wheels of the kernel and ours, by name."""
-        shutil.rmtree(ROOT / "build", ignore_errors=True)  # else what was deleted is still in it
-        for old in self.wheels.glob("esfem_core-*.whl"):
-            old.unlink()
-        pip = (sys.executable, "-m", "pip", "wheel", "-q", "--disable-pip-version-check")
-        run(*pip, "--no-deps", "-w", self.wheels, ROOT)
-        kernel = Path(sys.prefix, "share/jupyter/labextensions/@jupyterlite").rglob("*.whl")
-        ours = self.wheels.glob("esfem_core-*.whl")
-        return {canonical(path.name.split("-")[0]): path for path in (*kernel, *ours)}
 
     def pure(self, name: str, version: str) -> Path:
         """Return a pure wheel from the registry."""
@@ -241,23 +237,24 @@ class Distribution:
         except TypeError:
             raise MissingError(f"{request.full_url} does not say how large it is") from None
 
-    def closure(self, names: Iterable[str]) -> dict[str, Package]:
-        """Return packages and all that they need."""
-        found: dict[str, Package] = {}
-        todo = list(names)
-        while todo:
-            if (name := canonical(todo.pop())) not in found:
-                found[name] = self.package(name)
-                todo += found[name].entry["depends"]
-        return found
+
+def closure(names: Iterable[str], package: Callable[[str], Package]) -> dict[str, Package]:
+    """Return packages and all that they need, by name."""
+    found: dict[str, Package] = {}
+    todo = list(names)
+    while todo:
+        if (name := canonical(todo.pop())) not in found:
+            found[name] = package(name)
+            todo += found[name].entry["depends"]
+    return found
 
 
 def build(distribution: Distribution) -> dict[str, Package]:
     """Build the site and return the packages in it, by name."""
-    found = distribution.closure([*KERNEL, *SOLVER])
+    found = closure([*KERNEL, *SOLVER], distribution.package)
     for name in OPTIONAL:
         try:
-            found |= distribution.closure([name])
+            found |= closure([name], distribution.package)
         except MissingError as reason:
             print(f"lite: without {name}: {reason}")
 
@@ -267,9 +264,8 @@ def build(distribution: Distribution) -> dict[str, Package]:
     for notebook in (ROOT / "book").glob("*.ipynb"):
         shutil.copy(notebook, notebooks)
     source = WORK / "site"
-    shutil.rmtree(
-        source, ignore_errors=True
-    )  # with doit's database: a stale one loses the settings
+    # With doit's database: a stale one loses the settings.
+    shutil.rmtree(source, ignore_errors=True)
     source.mkdir()
     shutil.rmtree(LITE, ignore_errors=True)
     options = ("--no-sourcemaps", "--no-unused-shared-packages", "--apps", "notebooks")
@@ -338,12 +334,9 @@ def add_buttons(distribution: Distribution, packages: dict[str, Package]) -> Non
         if lacking := needed - provider.keys():
             print(f"lite: {notebook.stem} has no button: it needs {', '.join(sorted(lacking))}")
             continue
-        loaded, todo = set(), [*KERNEL, *SOLVER, *(provider[module] for module in needed)]
-        while todo:
-            if (name := canonical(todo.pop())) not in loaded:
-                loaded.add(name)
-                todo += packages[name].entry["depends"]
-        total = APPLICATION + runtime + sum(packages[name].size for name in loaded)
+        names = [*KERNEL, *SOLVER, *(provider[module] for module in needed)]
+        loaded = closure(names, packages.__getitem__).values()
+        total = APPLICATION + runtime + sum(package.size for package in loaded)
         page = BOOK / "book" / f"{notebook.stem}.html"
         text = page.read_text("utf8")
         button = BUTTON.format(notebook=notebook.name, megabytes=round(total / 1e6))
@@ -361,7 +354,7 @@ def in_place(distribution: Distribution) -> None:
     (LITE / "in_place.py").write_text(program, "utf8")
     shutil.copy(Path(__file__).with_name("in_place_worker.js"), LITE)
     runtime = sum(distribution.size(name) for name in RUNTIME)
-    total = runtime + sum(p.size for p in distribution.closure([OURS]).values())
+    total = runtime + sum(p.size for p in closure([OURS], distribution.package).values())
     script = Path(__file__).with_name("in_place.js").read_text("utf8")
     addresses = f"../{PLOTLY}", "../lite/in_place_worker.js"
     parameters = json.dumps(["esfem-in-place", "fig-alpha", *addresses, round(total / 1e6)])
