@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from hemisphere import upper_half
 
 import esfem_core as ec
 
@@ -75,10 +76,7 @@ def longitudes(n=8):
 
 
 def half():
-    tri = ec.sphere("icosahedron", 2)
-    tri.update_faces(tri.triangles_center[:, 2] > 0)
-    tri.remove_unreferenced_vertices()
-    return tri
+    return upper_half(ec.sphere("icosahedron", 2))
 
 
 def changed(change):

@@ -59,8 +59,8 @@ def array(good, *bad, optional=False, called=(), **free):
     return Argument(good, "array", (bad, free), optional, called)
 
 
-def option(good, optional=False, called=()):
-    return Argument(good, "option", None, optional, called)
+def option(good):
+    return Argument(good, "option")
 
 
 def flag(good):
@@ -72,9 +72,9 @@ def one(good, optional=False, called=()):
     return Argument(good, "one", None, optional, called)
 
 
-def several(good, optional=False, called=()):
+def several(good, called=()):
     """A sequence of objects of one class."""
-    return Argument(good, "several", None, optional, called)
+    return Argument(good, "several", called=called)
 
 
 def function(good, optional=False, called=()):
@@ -90,9 +90,9 @@ def returning(good, optional=False, called=(), constant=False, instead=(), any_s
     return Argument(good, "returning", (constant, instead, any_shape), optional, called)
 
 
-def answering(good, instead=(), called=(), constant=False):
+def answering(good, instead=(), called=()):
     """Like `returning`, for a method: it is there, but may return what it must not."""
-    return Argument(good, "answering", (constant, instead, False), False, called)
+    return Argument(good, "answering", (False, instead, False), False, called)
 
 
 def text(good, optional=False):

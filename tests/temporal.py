@@ -1,7 +1,5 @@
 """Orders in time of positions, velocities and functions, against a fine run on the mesh."""
 
-import numpy as np
-
 import esfem_core as ec
 from esfem_core.study import final, observed_orders
 
@@ -21,6 +19,5 @@ def temporal_orders(space, problem, p, steps, fine):
         state = final(ec.evolve(space, problem, p, step, last.t, start=start, solver="direct"))
         pairs = {"x": (state.x, last.x), "v": (state.v, last.v)}
         pairs |= {name: (state[name], last[name]) for name in last.fields}
-        squares = {name: np.sum((a - b) * (M @ (a - b))) for name, (a, b) in pairs.items()}
-        errors.append({name: np.sqrt(square) for name, square in squares.items()})
+        errors.append({name: ec.errors.seminorm(M, a - b) for name, (a, b) in pairs.items()})
     return {name: observed_orders(steps, [e[name] for e in errors])[0].item() for name in errors[0]}
