@@ -100,6 +100,7 @@ class TestBlas:
 
     @pytest.fixture(autouse=True)
     def two_threads(self):
+        threads._blas_pools.cache_clear()  # other tests may have loaded another library since
         with threadpool_limits(2, user_api="blas"):
             yield
 
