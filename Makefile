@@ -68,9 +68,12 @@ lab: $(STAMP) ## the chapters in JupyterLab
 	$(BIN)/python -m pip install -q --disable-pip-version-check "jupyterlab>=4"
 	$(BIN)/jupyter lab book
 
+ifneq ($(filter-out 1,$(STALE)),)
+$(error STALE must be 1 or nothing, got $(STALE))
+endif
+
 full: $(STAMP) ## the papers' own resolution, a good hour; interrupt at will, start again to go on (STALE=1 renews)
-	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),$(if $(filter-out 1,$(STALE)),$(error \
-	    STALE must be 1 or nothing, got $(STALE)),--stale))
+	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
 
 fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
 	$(BIN)/python tests/fuzz.py
