@@ -1,6 +1,7 @@
 """Compute the errors and write the meshes of the benchmark set: python benchmarks/set/make.py.
 
-A few minutes on one core. What the set is, says the page "A benchmark set" of the book.
+A few minutes on one core; needs the extras "files" and "symbolic". What the set is, says the page
+"A benchmark set" of the book.
 """
 
 import json
