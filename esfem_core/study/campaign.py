@@ -119,7 +119,11 @@ class Outcome(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """A case without a result, and why."""
+    """A case without a result, and why.
+
+    Where it happened shows ``traceback.print_exception(failure.error)``: the traceback of the
+    process that computed the case is a note of the error.
+    """
 
     parameters: Parameters
     error: Exception

@@ -250,7 +250,8 @@ class _Worker:
 
 GUARD = (
     'In a script, what starts a study must stand under `if __name__ == "__main__":`, since each '
-    "worker process reads the script"
+    "worker process reads the script; one that comes from the standard input cannot be read again: "
+    "make it a file, or compute with workers=0"
 )
 
 

@@ -140,8 +140,18 @@ def test_without_a_bar_there_are_lines_and_what_is_stored_already_is_told(
     monkeypatch.setattr(__main__, "outcomes", lambda *_, **__: (Outcome(*chain) for _ in "a"))
     assert main(["lmv_run_times", "--folder", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
-    assert out.startswith("lmv_run_times: ValueError: no\n")
+    assert out.startswith(f"lmv_run_times {json.dumps(row.parameters)}: ValueError: no\n")
     assert "already" not in out
+
+
+def test_an_interrupted_command_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(__main__, "outcomes", interrupted)
+    assert main(["lmv_run_times", "--folder", str(tmp_path)]) == 130
+    assert "start again to go on" in capsys.readouterr().err
 
 
 def test_without_matplotlib_a_figure_says_what_to_install(monkeypatch):

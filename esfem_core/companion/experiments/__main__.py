@@ -15,9 +15,13 @@ from esfem_core.study import outcomes
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; the exit status is 1 if a case failed."""
+    """Run the command; the exit status is 1 if a case failed, 130 if it was interrupted."""
     options = _options(arguments)
-    return _renew(options) if options.stale else _run(options)
+    try:
+        return _renew(options) if options.stale else _run(options)
+    except KeyboardInterrupt:
+        print("interrupted: what is finished is kept, start again to go on", file=sys.stderr)
+        return 130
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -29,7 +33,8 @@ def _run(options: argparse.Namespace) -> int:
         for o in coming:
             if o.error:
                 failures += 1
-                bar.write(f"{o.experiment.name}: {type(o.error).__name__}: {o.error}")
+                name = f"{o.experiment.name} {json.dumps(o.parameters)}"
+                bar.write(f"{name}: {type(o.error).__name__}: {o.error}")
             found += o.found
             bar.set_description(o.experiment.name)
             bar.update(o.cases)
@@ -100,7 +105,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m esfem_core.companion.experiments",
         description=__doc__,
-        epilog=f"experiments:\n{listing}",
+        epilog=f"experiments:\n{listing}\n\nnick_coupling needs scikit-image, the extra mesh",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="name", help="experiments to run (all)")
@@ -119,7 +124,9 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     )
     options = parser.parse_args(arguments)
     if unknown := set(options.names) - set(names):
-        parser.error(f"no such experiment: {', '.join(sorted(unknown))}")
+        parser.error(
+            f"no such experiment: {', '.join(sorted(unknown))}; there are {', '.join(names)}"
+        )
     options.experiments = [names[name] for name in dict.fromkeys(options.names or names)]
     try:
         if options.jobs is not None:
