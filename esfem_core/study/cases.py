@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import flag, iterable, shown
+from esfem_core.checks import iterable, shown
 from esfem_core.study.campaign import (
     Experiment,
     Failure,
@@ -224,8 +224,10 @@ def run(
     1/2 square: side=2: found
     2/2 square: side=3: ...
     """
-    if not callable(progress):
-        flag("progress (or a function of a line)", progress)
+    if not (callable(progress) or isinstance(progress, bool)):
+        raise TypeError(
+            f"progress must be True, False or a function of a line, got {shown(progress)}"
+        )
     name = getattr(compute, "__name__", None) if name is None else name
     each = iterable("cases", cases, "dicts of parameters")
     chains = [[c] if isinstance(c, Mapping) else c for c in each]

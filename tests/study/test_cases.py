@@ -367,7 +367,7 @@ def test_a_file_that_is_spoilt_in_mid_study_costs_no_row(tmp_path):
         (
             {"progress": None},
             TypeError,
-            r"progress \(or a function of a line\) must be True or Fal",
+            "progress must be True, False or a function of a line, got None",
         ),
         ({"folder": None}, TypeError, "folder must be the path of a folder, got None"),
         ({"folder": "a\0"}, ValueError, r"folder must be the path of a folder, got 'a\\x00'"),
