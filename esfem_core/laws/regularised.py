@@ -35,6 +35,17 @@ class Regularised(Law):
     ------
     ValueError, TypeError
         If a parameter is out of range or g no function.
+
+    Examples
+    --------
+    The sphere of radius 2 beta/g rests:
+
+    >>> import esfem_core as ec
+    >>> law = ec.laws.Regularised(alpha=0.5, beta=1.0, g=lambda at: 2.0)
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    >>> *_, last = ec.evolve(space, ec.Problem(species={}, law=law), 2, 0.1, 1.0)
+    >>> round(float(ec.measure(last).area / (4 * 3.14159265)), 3)
+    1.0
     """
 
     alpha: float = 1.0

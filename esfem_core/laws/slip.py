@@ -76,6 +76,19 @@ class Elastic:
     ------
     ValueError, TypeError
         If a parameter is out of range.
+
+    Examples
+    --------
+    A sphere that is stretched to three times its length:
+
+    >>> import esfem_core as ec
+    >>> stretch = ec.laws.Prescribed(velocity=lambda x, t: x * [0, 0, np.log(3)])
+    >>> space = ec.SurfaceSpace(ec.sphere("icosahedron", 2))
+    >>> def angle(law):
+    ...     *_, last = ec.evolve(space, ec.Problem(species={}, law=law), 2, 0.02, 1.0)
+    ...     return ec.measure(last).min_angle
+    >>> angle(ec.laws.with_slip(stretch, Elastic())) > 1.5 * angle(stretch)
+    True
     """
 
     def __init__(self, rate: float = 10.0, area: float = 1.0) -> None:

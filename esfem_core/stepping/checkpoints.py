@@ -96,6 +96,16 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
         If there is no such file, or it may not be read.
     ValueError
         If the file is damaged or another one, or of a later version.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> folder = getfixture("tmp_path")
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron"))
+    >>> ec.save(folder / "run.npz", [ec.State(0.5, space.nodes, space=space)])
+    >>> space, states = ec.load(folder / "run.npz")
+    >>> states[-1].t
+    0.5
     """
     path = path_of("path", path, "a file")
     if not path.is_file():

@@ -172,6 +172,17 @@ def outcomes(
     Yields
     ------
     Outcome
+
+    Examples
+    --------
+    >>> folder = getfixture("tmp_path")
+    >>> def square(side):
+    ...     return {"area": side**2}
+    >>> study = Experiment("squares", "Areas of squares", square, [[{"side": 2}, {"side": 3}]])
+    >>> for outcome in outcomes([study], folder, workers=0):
+    ...     print(outcome.parameters, outcome.row.results)
+    {'side': 2} {'area': 4}
+    {'side': 3} {'area': 9}
     """
     one_of("stale", stale, Stale)
     if executor is not None and not isinstance(executor, Executor):

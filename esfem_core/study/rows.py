@@ -160,6 +160,16 @@ def read(path: str | Path) -> list[Row]:
 
     Of several rows of a case, as after two files were put together, the last one counts.
 
+    Parameters
+    ----------
+    path : path
+        Of a file that a study has written, named after its function.
+
+    Returns
+    -------
+    list of Row
+        In the order in which the cases came first.
+
     Raises
     ------
     TypeError
@@ -167,6 +177,16 @@ def read(path: str | Path) -> list[Row]:
     ValueError
         If a line is not a row. (A last line that is the beginning of one is what a killed process
         leaves; it is not read.)
+
+    Examples
+    --------
+    >>> from esfem_core.study import run
+    >>> folder = getfixture("tmp_path")
+    >>> def square(side):
+    ...     return {"area": side**2}
+    >>> _ = run([{"side": 2}, {"side": 3}], square, folder, workers=0, progress=False)
+    >>> [row.results["area"] for row in read(folder / "square.jsonl")]
+    [4, 9]
     """
     path = path_of("path", path, "a file")
     rows = _parse(path, path.read_bytes())[0] if path.exists() else []
@@ -177,6 +197,16 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     """Rows with these parameters; values are the same that are the same case.
 
     None finds rows without the parameter, too: what was not given had its default.
+
+    Parameters
+    ----------
+    rows : iterable of Row
+    **parameters
+        Values of some of their parameters.
+
+    Returns
+    -------
+    list of Row
 
     Examples
     --------
