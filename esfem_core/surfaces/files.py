@@ -32,6 +32,7 @@ from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, merging, repeated
 from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
+from esfem_core.surfaces.text_files import counted_from_the_first
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -312,7 +313,7 @@ def _of_file(path: Path) -> Elements:
     said = io.StringIO()
     try:
         if kind in BY_TRIMESH:
-            found = _of_scene(path.name, trimesh.load(path, force="scene", process=False))
+            found = _of_scene(path.name, _scene(path, kind))
         else:
             meshio = _meshio(path)
             with (
@@ -389,6 +390,12 @@ def _other_ways(path: Path) -> str:
 
 def _meshio(path: Path) -> Any:
     return package(f"files {path.suffix} are read by meshio", "meshio", "files")
+
+
+def _scene(path: Path, kind: str) -> Any:
+    if kind == "obj" and (text := counted_from_the_first(path.read_bytes())) is not None:
+        return trimesh.load(io.BytesIO(text), file_type=kind, force="scene", process=False)
+    return trimesh.load(path, force="scene", process=False)
 
 
 def _of_scene(name: str, scene: trimesh.Scene) -> Elements:

@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
-from broken_meshes import SPHERE, half, klein_bottle, mesh, pinched, soup, turned
+from broken_meshes import SMALL, SPHERE, half, klein_bottle, mesh, pinched, soup, turned
 
 import esfem_core as ec
 from esfem_core.surfaces.files import BY_MESHIO, BY_TRIMESH
@@ -360,3 +360,26 @@ def test_a_file_that_was_cut_off_is_refused_and_not_waited_for(tmp_path, kind, s
     cut.write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])
     with pytest.raises(ValueError, match=rf"cut\.{kind} cannot be read as \.{kind}"):
         ec.read_mesh(cut, report=None)
+
+
+@pytest.mark.parametrize("corner", ["{0}", "{0}/-1", "{0}//-1", "{0}/-1/-1"])
+def test_negative_numbers_of_an_obj_file_count_back_from_their_line(folder, corner):
+    small = mesh(0.5 * SMALL.vertices + [3, 0, 0], SMALL.faces)
+    lines = []
+    for part in (SPHERE, small):
+        lines += [f"o part\nv {x} {y} {z}\nvt 0 0\nvn 0 0 1" for x, y, z in part.vertices.tolist()]
+        for face in (part.faces - len(part.vertices)).tolist():
+            lines.append("f \\\n" + " ".join(corner.format(i) for i in face) + " # -")
+    path = folder / "parts.obj"
+    path.write_text("\n".join(lines))
+    tri, said = read(path)
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert len(tri.faces) == len(SPHERE.faces) + len(SMALL.faces)
+    assert tri.volume == pytest.approx(SPHERE.volume + small.volume, rel=1e-6)
+
+
+def test_a_corner_before_the_first_vertex_of_an_obj_file_is_refused(folder):
+    path = folder / "early.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nf -3 -2 -1\nv 0 1 0\n")
+    with pytest.raises(ValueError, match="a face has corner -3, but 2 vertices above it"):
+        read(path)
