@@ -22,6 +22,7 @@ from esfem_core.surfaces.faults import (
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
 from esfem_core.surfaces.orientation import (
+    Shells,
     components,
     shells,
     sides_of,
@@ -65,10 +66,10 @@ def repair(
     4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
        into triangles which lie on each other, as those that are not convex, are cut anew;
     5. holes of up to `holes` edges are filled without new vertices, with the smallest area;
-    6. where surfaces touch in a vertex or an edge, each gets its own, moved apart by a
-       thousandth of the triangles, so that no later merging joins them;
-    7. components are oriented outwards, cavities inwards; those that enclose no volume, single
-       triangles and sheets, are dropped with their vertices if there are others.
+    6. components that enclose no volume, single triangles and sheets, are dropped with their
+       vertices if there are others; where surfaces touch in a vertex or an edge, each gets its
+       own, moved apart by a thousandth of the triangles, so that no later merging joins them;
+    7. components are oriented outwards, cavities inwards.
 
     Parameters
     ----------
@@ -413,6 +414,10 @@ def _split(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
     at = faces.ravel()[first]  # vertex of each fan
     if len(first) == len(vertices):
         return vertices, faces
+    parted = own.reshape(faces.shape)
+    if _is_closed(parted) and (flat := _flat(shells(vertices[at], parted), steps)).any():
+        # They go before anything moves: a body that only they touch stays where it is.
+        return _split(*without_unused(vertices, faces[~flat], []), steps)
     order = np.argsort(at, kind="stable")
     again = np.zeros(len(first), dtype=bool)
     again[order[1:]] = at[order[1:]] == at[order[:-1]]  # all fans of a vertex but one
@@ -461,16 +466,29 @@ def _sheets(vertices: Array, faces: Ints) -> Iterator[Ints]:
         yield np.stack([group, np.roll(group, back)], axis=1)[forth]
 
 
-def _turn(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
-    """Step 7."""
+def _is_closed(faces: Ints) -> bool:
+    """Whether each edge has two triangles, oriented alike."""
     sides = sides_of(faces)
     one, other = sides.pairs().T
-    if (sides.times != 2).any() or (sides.start[one] == sides.start[other]).any():
+    return bool((sides.times == 2).all() and (sides.start[one] != sides.start[other]).all())
+
+
+def _flat(found: Shells, steps: list[str]) -> Bools:
+    """Triangles to drop, (T,): of components without volume, if there are others."""
+    if found.flat.all():
+        return np.zeros(len(found.label), dtype=bool)
+    if found.flat.any():
+        steps.append(f"dropped {counted(found.flat.sum(), 'component')} without volume")
+    return np.asarray(found.flat[found.label])
+
+
+def _turn(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
+    """Step 7."""
+    if not _is_closed(faces):
         return faces
     found = shells(vertices, faces)
-    if found.flat.any() and not found.flat.all():
-        steps.append(f"dropped {counted(found.flat.sum(), 'component')} without volume")
-        faces = faces[~found.flat[found.label]]
+    if (flat := _flat(found, steps)).any():
+        faces = faces[~flat]
         found = shells(vertices, faces)
     wrong = found.wrong() & ~found.flat
     inwards = int((wrong & (found.volume > 0)).sum())

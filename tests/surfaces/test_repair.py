@@ -316,6 +316,20 @@ def test_a_node_on_one_side_of_an_edge_only_is_taken_into_the_other(times):
     assert again.area == pytest.approx(SPHERE.area, rel=1e-12)
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_box_with_one_side_cut_finer_than_the_others_keeps_its_corners(times):
+    """Lids close the side and the rest apart: the side is flat then, and dropped."""
+    box = trimesh.creation.box()
+    top = box.triangles_center[:, 2] == 0.5
+    finer = mesh(box.vertices, box.faces[top])
+    for _ in range(times):
+        finer = finer.subdivide()
+    whole, said = repaired(soup(joined(finer, mesh(box.vertices, box.faces[~top]))), holes=16)
+    assert said[-1] == "dropped 1 component without volume"
+    assert whole.volume == pytest.approx(1, rel=1e-14)
+    np.testing.assert_array_equal(np.abs(whole.bounds), 0.5)
+
+
 @pytest.mark.parametrize("far", [ec.sphere().apply_scale(1e7), mesh(np.eye(3), [[0, 1, 2]])])
 def test_what_lies_far_away_does_not_make_one_vertex_of_a_body(far):
     opened = mesh(SPHERE.vertices, SPHERE.faces[1:])
