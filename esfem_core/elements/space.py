@@ -247,7 +247,7 @@ class SurfaceSpace:
                     "sides of a slit lie farther apart than 1e-6 of the diagonal"
                 )
             elif found.text.startswith("the surface is not a manifold"):
-                advice = "keep those elements that bound the body, each once: cells = cells[keep]"
+                advice = "keep elements that make up the surface, each once: cells = cells[keep]"
             raise ValueError(
                 f"cells must have corners that make a fit triangulation, but {found.text}; {advice}"
             )

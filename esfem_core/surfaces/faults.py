@@ -34,6 +34,11 @@ __all__ = [
 # package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
 FLATTEST = 1e-7
 
+# What a repair turns as well, but that would close a surface that is meant to be open.
+TURNING = (
+    "tri.faces = ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True).cells turns"
+)
+
 FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
 
 
@@ -254,9 +259,13 @@ def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fau
                 "the theory is for closed surfaces: close it with a program for meshes, such as "
                 "MeshLab or Blender",
             )
+        text = f"the surface is not a manifold: {edge} belongs to {sides.times[e]} triangles"
+        if boundary and len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
+            return Fault(text, "tri.update_faces(tri.unique_faces()) drops triangles given before")
+        kept = "make up the surface" if boundary else "bound the body"
         return Fault(
-            f"the surface is not a manifold: {edge} belongs to {sides.times[e]} triangles",
-            "keep those triangles that bound the body, without walls inside it and fins: "
+            text,
+            f"keep those triangles that {kept}, without walls inside it and fins: "
             "tri.update_faces(keep) with a bool for each triangle",
         )
     return None
@@ -304,7 +313,7 @@ def _of_neighbours(faces: Ints, sides: Sides) -> Fault | None:
     return Fault(
         f"neighbours are oriented against each other: triangle {e // 3} and its neighbour "
         f"both run through edge ({sides.start[e]}, {sides.end[e]}) in this direction",
-        "turn one of them",
+        f"{TURNING} as few triangles as it can",
     )
 
 
@@ -359,12 +368,12 @@ def _of_shells(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
         return Fault(
             f"{kind} {c} of {count}, with triangle {t}, lies inside {depth} "
             f"other{'s' if depth > 1 else ''}: it is a cavity, but oriented outwards",
-            "turn it; a surface of its own, inside another, needs a triangulation of its own",
+            f"{TURNING} it; a surface of its own, inside another, needs a triangulation of its own",
         )
     return Fault(
         f"{kind} {c} of {count}, with triangle {t}, is oriented inwards (enclosed volume "
         f"{volume:.3g}), but is no cavity of another",
-        "turn it",
+        f"{TURNING} it",
     )
 
 

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from broken_meshes import BROKEN, SPHERE, joined, klein_bottle, mesh, soup, turned
+from broken_meshes import BROKEN, SPHERE, half, joined, klein_bottle, mesh, soup, turned
 from scipy.spatial import ConvexHull
 
 import esfem_core as ec
-from esfem_core.surfaces.orientation import shells
+from esfem_core.surfaces.orientation import shells, sides_of
 
 
 def message(tri):
@@ -184,6 +184,37 @@ def test_vertices_at_one_place_are_to_be_merged_and_no_boundary_is_advised():
 def test_whether_a_boundary_is_meant_is_yes_or_no():
     with pytest.raises(TypeError, match="boundary must be True or False, got 'no'"):
         ec.check_triangulation(SPHERE, boundary="no")
+
+
+def with_some_turned():
+    tri = half()
+    tri.faces = np.vstack([tri.faces[:9, ::-1], tri.faces[9:]])
+    return tri
+
+
+def with_some_given_twice():
+    tri = half()
+    return mesh(tri.vertices, np.vstack([tri.faces, tri.faces[:1], tri.faces[5:8, ::-1]]))
+
+
+@pytest.mark.parametrize(
+    "tri",
+    [
+        with_some_turned(),
+        with_some_given_twice(),
+        joined(half(), turned(SPHERE).apply_translation([5, 0, 0])),
+        joined(half(), SPHERE.copy().apply_scale(3), SPHERE.copy().apply_scale(2)),
+    ],
+    ids=["turned", "twice", "inwards", "cavity"],
+)
+def test_advice_for_a_surface_with_a_boundary_works_to_the_letter_and_leaves_it_open(tri):
+    rim = (sides_of(half().faces).times == 1).sum()
+    with pytest.raises(ValueError) as error:
+        ec.check_triangulation(tri, boundary=True)
+    advice = re.search(r"; (tri\.\S.*\)(?:\.cells)?) (?:turns|drops) ", str(error.value))
+    exec(advice[1], names := {"ec": ec, "tri": tri})
+    ec.check_triangulation(tri := names["tri"], boundary=True)
+    assert len(ec.SurfaceSpace(tri, boundary=True).boundary_nodes) == rim
 
 
 def test_messages_and_repairs_need_numpy_scipy_and_trimesh_only():
