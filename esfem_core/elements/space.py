@@ -241,7 +241,7 @@ class SurfaceSpace:
                     "neighbours must share their nodes, and SurfaceSpace.read makes one of nodes "
                     f"nearer than 1e-6 of the diagonal{boundary_advice(nodes[corners], faces)}"
                 )
-            elif found.text.startswith("edges"):
+            elif "read_mesh" in advice:
                 advice = (
                     "neighbours must share their nodes, as SurfaceSpace.read sees to, and the two "
                     "sides of a slit lie farther apart than 1e-6 of the diagonal"

@@ -18,7 +18,7 @@ from esfem_core.surfaces.orientation import (
     sides_of,
     turned_to_agree,
 )
-from esfem_core.surfaces.places import NEAR, diagonal_of, merged, repeated
+from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeated
 
 __all__ = [
     "FARTHEST",
@@ -121,7 +121,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         _of_vertices(vertices, faces)
         or _of_triangles(vertices, faces)
         or _of_edges(vertices, faces, sides, boundary)
-        or _of_seams(vertices, sides)
+        or _of_seams(vertices, faces, sides)
         or _of_neighbours(faces, sides)
         or _of_fans(len(vertices), faces, sides)
         or _of_shells(vertices, faces, sides)
@@ -271,7 +271,7 @@ def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fau
     return None
 
 
-def _of_seams(vertices: Array, sides: Sides) -> Fault | None:
+def _of_seams(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
     """Two open edges at one place: nothing would flow from one side of them to the other."""
     is_open = np.flatnonzero(sides.times == 1)
     if len(is_open) == 0:
@@ -287,10 +287,15 @@ def _of_seams(vertices: Array, sides: Sides) -> Fault | None:
     if len(seam) == 0:
         return None
     one, other = is_open[np.flatnonzero(edge == edge[seam[0]])]
-    return Fault(
+    text = (
         f"edges ({sides.start[one]}, {sides.end[one]}) of triangle {one // 3} and "
         f"({sides.start[other]}, {sides.end[other]}) of triangle {other // 3} lie at the same "
-        f"place, but are open ({len(seam) // 2} such pairs)",
+        f"place, but are open ({len(seam) // 2} such pairs)"
+    )
+    if (sides_of(joined(vertices, faces)[0]).times > 2).any():
+        return Fault(text, "remove one of the sheets: joined, they would lie on each other")
+    return Fault(
+        text,
         "tri = ec.read_mesh(tri) makes one of their vertices; the two sides of a slit must lie "
         f"farther apart than {NEAR[-1]:g} of the diagonal",
     )

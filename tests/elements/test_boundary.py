@@ -108,6 +108,20 @@ def test_a_soup_of_triangles_is_no_surface_with_a_boundary():
         ec.SurfaceSpace(trimesh.Trimesh(corners, cells, process=False), boundary=True)
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+def test_of_two_sheets_at_one_place_one_is_to_be_removed(turn):
+    """Joined, as was advised, every edge had four triangles."""
+    half = upper_half(SPHERE)
+    other = trimesh.Trimesh(half.vertices, half.faces[:, ::turn], process=False)
+    two = joined(half, other)
+    for make in (
+        lambda: ec.SurfaceSpace(two, boundary=True),
+        lambda: ec.SurfaceSpace.from_nodes(two.vertices, two.faces, boundary=True),
+    ):
+        with pytest.raises(ValueError, match=r"\(16 such pairs\); remove one of the sheets: "):
+            make()
+
+
 @pytest.mark.parametrize(("width", "fit"), [(1e-7, False), (1e-5, True)])
 def test_a_slit_is_taken_where_its_sides_are_apart(width, fit):
     below, above = [[0, -1], [1, -1], [2, -1], [0, 0], [1, 0], [2, 0]], [[2, width]]
