@@ -158,6 +158,14 @@ REFUSED = {
     "d smallest": ((lambda x: 1e-320 * unit_sphere(x), BOX, 0.5), "gradient of d must not vanish"),
     "box large": ((unit_sphere, 1e80 * np.array(BOX), 1e80), r"bounds must be up to 1e\+35"),
     "box small": ((unit_sphere, 1e-80 * np.array(BOX), 1e-80), "1e-35 or more apart"),
+    "d that moves points": (
+        (lambda x: unit_sphere(np.subtract(x, 0.1, out=x)), BOX, 0.5),
+        r"d must not change the points that it is given, but has made \[\[.*x = x - a makes new",
+    ),
+    "gradient that moves points": (
+        (unit_sphere, BOX, 0.5, lambda x: np.multiply(x, 2, out=x)),
+        "gradient must not change the points that it is given",
+    ),
     "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "the surface has a crease there"),
 }
 
