@@ -273,10 +273,10 @@ class SurfaceSpace:
         ----------
         source : path, meshio.Mesh or PyVista data set
             Gmsh, VTK, VTU, Abaqus and what else meshio reads (``pip install "esfem-core[files]"``);
-            elements of one degree, their nodes in the order that meshio gives them. Nodes outside
-            of all elements are left out, and where neighbours do not share nodes, those at equal
-            places become one, or within 1e-6 of the diagonal. Of an element given twice one is
-            kept.
+            elements of one degree, their nodes in the order that meshio gives them. Cells of a
+            body and nodes outside of all elements are left out, and where neighbours do not share
+            nodes, those at equal places become one, or within 1e-6 of the diagonal. Of an element
+            given twice one is kept.
         exactness : int, optional
             As for the class.
         report : callable, optional

@@ -56,7 +56,9 @@ SIDES_OF = {  # of cells of a body, outwards
 
 CORNERS = {"triangle": 3, "quad": 4, "polygon": 3, "tetra": 4, "hexahedron": 8}
 
-FLAT = ("vertex", "line", *(f"VTK cell type {code}" for code in (0, 1, 2, 3, 4, 21, 35, 68)))
+SURFACE = ("triangle", "quad", "polygon")
+
+FLAT = ("vertex", "line", "curve", *(f"VTK cell type {n}" for n in (0, 1, 2, 3, 4, 21, 35, 68)))
 
 
 class Elements(NamedTuple):
@@ -87,12 +89,14 @@ def read_mesh(
 ) -> trimesh.Trimesh:
     """Read flat triangles from a file, or take them from a mesh of another library.
 
-    Polygons are cut into triangles, the parts of a scene are put in their places and joined,
-    bodies of tetrahedra and hexahedra are replaced by their boundary, and of curved elements the
-    corners are taken (:meth:`esfem_core.SurfaceSpace.read` keeps them curved). If triangles do not
-    share vertices, as in STL files and along seams, vertices at equal places become one, or within
-    1e-6 of the diagonal if only that closes more of the surface. Points without triangles are left
-    out. All else is as it is in the file: see :func:`esfem_core.repair`.
+    Polygons are cut into triangles, the parts of a scene are put in their places and joined, and
+    of curved elements the corners are taken (:meth:`esfem_core.SurfaceSpace.read` keeps them
+    curved). Bodies of tetrahedra and hexahedra are replaced by their boundary, but left out of a
+    file that has cells of a surface as well, whatever part of the boundary or the inside these are.
+    If triangles do not share vertices, as in STL files and along seams, vertices at equal places
+    become one, or within 1e-6 of the diagonal if only that closes more of the surface. Points
+    without triangles are left out. All else is as it is in the file: see
+    :func:`esfem_core.repair`.
 
     Parameters
     ----------
@@ -219,7 +223,7 @@ def curved_elements(source: Any) -> Elements:
     """
     found = _elements(source)
     blocks = [cells for kind, cells in found.cells if kind == "triangle" and len(cells)]
-    others = sorted({kind for kind, cells in found.cells if kind in ("quad", "polygon")})
+    others = sorted({kind for kind, cells in found.cells if kind in SURFACE[1:]})
     if not blocks or others:
         kinds = ", ".join(others or sorted({kind for kind, _ in found.cells})) or "points"
         raise ValueError(
@@ -247,6 +251,7 @@ def curved_elements(source: Any) -> Elements:
             f"{found.points[infinite[0]].tolist()}"
         )
     check_coordinates(f"source, {found.name},", found.points, cells)
+    _tell_left_out(found)
     nodes, cells = without_unused(found.points, cells, found.notes)
     nodes, cells = _with_shared_nodes(nodes, cells, found.notes)
     _, once = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
@@ -488,14 +493,27 @@ def _triangles(found: Elements) -> Ints:
     polygons = [
         numbers[:, : {"triangle": 3, "quad": 4}.get(kind)]
         for kind, numbers in found.cells
-        if kind in ("triangle", "quad", "polygon") and len(numbers)
+        if kind in SURFACE and len(numbers)
     ]
-    if not polygons:
+    if polygons:
+        _tell_left_out(found)
+    else:
         polygons = _boundary(found)
     cut = sum(len(corners) for corners in polygons if corners.shape[1] > 3)
     if cut:
         found.notes.append(f"cut into triangles: {cut} polygons")
     return np.vstack([np.zeros((0, 3), dtype=np.int64), *_fans(polygons)])
+
+
+def _tell_left_out(found: Elements) -> None:
+    """Note the cells of a body that are not looked at beside those of a surface."""
+    counts: dict[str, int] = {}
+    for kind, numbers in found.cells:
+        if kind not in (*SURFACE, *FLAT) and len(numbers):
+            counts[kind] = counts.get(kind, 0) + len(numbers)
+    if counts:
+        left = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+        found.notes.append(f"left out: {left}, as there are cells of a surface")
 
 
 def _boundary(found: Elements) -> list[Ints]:

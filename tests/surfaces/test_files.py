@@ -197,6 +197,20 @@ def test_a_body_in_several_blocks_has_one_boundary():
     assert is_the_cube(meshio.Mesh(CORNERS, blocks))
 
 
+def test_a_body_that_is_left_out_beside_a_surface_is_told():
+    """Triangles inside it may be all that is marked."""
+    sphere = ("triangle", np.asarray(SMALL.faces))
+    tetra, line = ("tetra", np.array([[0, 1, 2, 3]])), ("line", np.array([[0, 1]]))
+    for cells, notes in (
+        ([tetra, sphere, tetra, line], ["left out: 2 tetra, as there are cells of a surface"]),
+        ([line, sphere], []),
+    ):
+        _, said = read(meshio.Mesh(SMALL.vertices, cells))
+        assert said[1:] == [*notes, "fit for ec.SurfaceSpace"]
+        ec.SurfaceSpace.read(meshio.Mesh(SMALL.vertices, cells), report=(said := []).append)
+        assert said[1:] == notes
+
+
 def test_of_curved_quadrilaterals_the_corners_are_taken():
     middles = (CORNERS[SQUARES] + CORNERS[np.roll(SQUARES, -1, axis=1)]) / 2
     cells = np.hstack([SQUARES, 8 + np.arange(24).reshape(6, 4)])
@@ -328,6 +342,7 @@ def test_what_would_give_another_surface_is_refused(points, cells, message):
 
 def test_points_and_lines_beside_a_body_do_no_harm():
     cells = [("tetra", [[0, 1, 2, 3]]), ("line", [[0, 1]]), ("vertex", [[0]])]
+    cells.append(("VTK_LAGRANGE_CURVE", [[0, 1]]))
     given = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [(k, np.array(n)) for k, n in cells])
     assert len(read(given)[0].faces) == 4
 
