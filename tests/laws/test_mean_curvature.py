@@ -282,6 +282,36 @@ def test_a_curvature_of_the_other_sign_is_refused_before_a_step():
         next(iter(ec.evolve(space, ec.Problem(law=law), 1, 0.1, 0.1)))
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("normal", [None, TORUS.normal])
+def test_the_mean_of_the_principal_curvatures_is_no_curvature(normal, degree):
+    """On the coarsest torus, too, where the sum itself is taken."""
+    space = ec.SurfaceSpace(ec.torus(n=6, m=4), degree, TORUS.closest)
+    at = ec.Surface(space, space.nodes)
+    ec.laws.MeanCurvature(1.0, None, normal, TORUS.mean_curvature).initial(at)
+    half = ec.laws.MeanCurvature(1.0, None, normal, lambda x: TORUS.mean_curvature(x) / 2)
+    with pytest.raises(
+        ValueError, match=r"sum of .* 2/r on a sphere, but is about 0\.(49|5) times"
+    ):
+        half.initial(at)
+
+
+def test_no_curvature_at_all_is_refused():
+    space = torus_space(8, 5)
+    flat = ec.laws.MeanCurvature(curvature=np.zeros(len(space.nodes)))
+    with pytest.raises(ValueError, match="but is about 0 times that of the surface"):
+        flat.initial(ec.Surface(space, space.nodes))
+
+
+def test_a_curvature_that_the_mesh_does_not_resolve_is_taken():
+    disk = ec.exact_surfaces.Ellipsoid((1, 1, 0.1))  # of curvature 110 at the rim
+    tri = ec.sphere("octahedron", 1)
+    tri.vertices = tri.vertices * [1, 1, 0.1]
+    space = ec.SurfaceSpace(tri, 1)
+    law = ec.laws.MeanCurvature(normal=disk.normal, curvature=disk.mean_curvature)
+    assert law.initial(ec.Surface(space, space.nodes))["H"].max() > 100
+
+
 def test_the_length_of_the_normal_is_at_rest_where_the_surface_is():
     """A normal of length 1 + eps neither grows nor decays on a sphere that a force holds."""
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
