@@ -11,7 +11,7 @@ from esfem_core.elements import Surface
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.species import Species
 
-__all__ = ["Law", "Solve", "check_law", "positions_of", "same_species"]
+__all__ = ["Law", "Solve", "check_law", "check_no_slip", "positions_of", "same_species"]
 
 Solve = Callable[[csr_array, Array], Array]
 """What solves a linear system: a function of a matrix (N, N) and right-hand sides (N, ...)."""
@@ -111,6 +111,24 @@ def check_law(law: Any) -> None:
         "law must have a method velocity, as Regularised(), MeanCurvature() and the others in "
         f"esfem_core.laws have (Law says what it does); got {shown(law)}{advice if fixed else ''}"
     )
+
+
+def check_no_slip(law: Any, advice: str) -> None:
+    """Refuse a law with a slip of its own where that would be lost in silence.
+
+    Examples
+    --------
+    >>> class Turning(Law):
+    ...     def slip(self, at):
+    ...         return np.cross([0, 0, 1], at.x)
+    >>> check_no_slip(Turning(), "add the two velocities to one")
+    Traceback (most recent call last):
+        ...
+    ValueError: law must have no slip yet, but has one: add the two velocities to one
+    """
+    slip = getattr(law, "slip", None)
+    if slip is not None and getattr(slip, "__func__", None) is not Law.slip:
+        raise ValueError(f"law must have no slip yet, but has one: {advice}")
 
 
 def positions_of(law: Any, nodes: Array, t: float, before: tuple[float, Array]) -> Array:

@@ -42,7 +42,7 @@ import numpy as np
 
 from esfem_core.checks import Array, number, one_of, real_array, shown
 from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
-from esfem_core.laws.law import Law, Solve, check_law
+from esfem_core.laws.law import Law, Solve, check_law, check_no_slip
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.species import Species
 from esfem_core.laws.values import Once, finite_nodal
@@ -151,8 +151,9 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     Parameters
     ----------
     law : Law
-        Not one that knows the positions of its nodes, ``Prescribed(motion=X)``. For
-        ``Prescribed(velocity=v)`` the nodes are no longer exact, but of order p.
+        Not one with a slip, nor one that knows the positions of its nodes,
+        ``Prescribed(motion=X)``. For ``Prescribed(velocity=v)`` the nodes are no longer exact, but
+        of order p.
     w : callable or {"elastic", "harmonic"}
         ``w(at)`` on a :class:`esfem_core.Surface`: (N, 3), the tangential velocity of the nodes
         against the particles. A normal part would move the surface. It is explicit, with the
@@ -186,8 +187,7 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     9e-06
     """
     check_law(law)
-    if isinstance(law, _Slipping):
-        raise ValueError("law must have no slip yet, but has one: add the two velocities to one")
+    check_no_slip(law, "add the two velocities to one")
     if hasattr(law, "position") and not (isinstance(law, Prescribed) and law.motion is None):
         raise ValueError(
             "law must let its nodes go, but it prescribes their positions: Prescribed(velocity=v) "

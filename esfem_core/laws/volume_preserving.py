@@ -23,7 +23,7 @@ import numpy as np
 
 from esfem_core.checks import Array, shown
 from esfem_core.elements import Surface
-from esfem_core.laws.law import Law, Solve
+from esfem_core.laws.law import Law, Solve, check_no_slip
 from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.species import Species
@@ -46,6 +46,8 @@ class VolumePreserving(Law):
     ------
     TypeError
         If the law is another.
+    ValueError
+        If it is of a class of one's own that has a slip.
 
     Examples
     --------
@@ -73,6 +75,7 @@ class VolumePreserving(Law):
             raise TypeError(
                 f"law must be a Regularised or a MeanCurvature, got {shown(law)}{advice}"
             )
+        check_no_slip(law, "it comes last, with_slip(VolumePreserving(law), w)")
 
     @property
     def species(self) -> Mapping[str, Species]:

@@ -222,6 +222,13 @@ def test_without_a_normal_of_the_law_a_smoothed_one_is_taken():
     np.testing.assert_array_equal(slip, ec.laws.Elastic()(with_normal))
 
 
+class Turning(ec.laws.Regularised):
+    """A law of one's own with a slip."""
+
+    def slip(self, at):
+        return turn(at)
+
+
 def test_refused():
     law = ec.laws.Regularised()
     with pytest.raises(ValueError, match='w must be "elastic" or "harmonic", got \'smooth\''):
@@ -232,6 +239,10 @@ def test_refused():
         ec.laws.with_slip(law, ec.laws.Elastic)
     with pytest.raises(ValueError, match="law must have no slip yet"):
         ec.laws.with_slip(ec.laws.with_slip(law, "elastic"), turn)
+    with pytest.raises(ValueError, match="law must have no slip yet"):
+        ec.laws.with_slip(Turning(), turn)
+    with pytest.raises(ValueError, match=r"no slip yet.*: it comes last, with_slip\(Vol"):
+        ec.laws.VolumePreserving(Turning())
     with pytest.raises(ValueError, match="law must let its nodes go, but it prescribes their"):
         ec.laws.with_slip(ec.laws.Prescribed(motion=lambda p, t: p), turn)
     short = ec.laws.with_slip(law, lambda at: at.x[:, 0])
