@@ -11,13 +11,12 @@ from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.checkpoints import space_of
 from esfem_core.stepping.state import Method, State
-from esfem_core.stepping.times import later
+from esfem_core.stepping.times import check_told_apart, later
 
 __all__ = ["respaced"]
 
 MOST = 6  # states that are made for another step, unless an order asks for more
 SAME_TIME = 1e-9  # relative to the step
-ROUNDING = 1e-3  # of times, relative to the step
 OWN_MASS = 1e-10  # how well, relatively, a product is M(x) w for the positions x of its own state
 
 
@@ -69,11 +68,7 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     given = items("states", states, State)
     space = space_of(given)
     step = number("step", step, above=0)
-    if abs(given[-1].t - later(given[-1].t, -step) - step) > ROUNDING * step:
-        raise ValueError(
-            f"step must be larger against the time, t = {given[-1].t:g}, got {step:g}: the times "
-            "of such steps are not told apart"
-        )
+    check_told_apart(given[-1].t, step)
     p = None if order is None else whole_number("order", order, 1, MOST_STEPS)
     nearest = MOST + 1 if p is None else p + 1
     times = [given[-1].t]

@@ -6,11 +6,12 @@ from fractions import Fraction
 
 from esfem_core.checks import number
 
-__all__ = ["count_steps", "following", "later", "same_time"]
+__all__ = ["check_told_apart", "count_steps", "following", "later", "same_time"]
 
 LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
 NEAR = 1000  # below it two such fractions, at least 1e-12 apart, are never rounded to one double
 TOLERANCE = 1e-9
+APART = 1e-3  # of a step, what the rounding of the times may take from it
 ROUNDING = 1e-12  # of a time, after many steps; what differs by more is not the same
 
 
@@ -64,14 +65,34 @@ def same_time(t: float, other: float) -> bool:
     return abs(t - other) <= ROUNDING * max(abs(t), abs(other))
 
 
+def check_told_apart(t: float, step: float) -> None:
+    """Refuse steps that are lost in the rounding of the times.
+
+    Examples
+    --------
+    >>> check_told_apart(1.7e9, 1e-3)
+    >>> check_told_apart(1.7e9, 1e-7)
+    Traceback (most recent call last):
+        ...
+    ValueError: step must be larger against the time, t = 1.7e+09, got 1e-07: the times of such
+    steps are not told apart; count time from near the start of the run
+    """
+    if abs(t - later(t, -step) - step) > APART * step:
+        raise ValueError(
+            f"step must be larger against the time, t = {t:g}, got {step:g}: the times of such "
+            "steps are not told apart; count time from near the start of the run"
+        )
+
+
 def count_steps(start: float, step: float, end: float) -> int:
     """Number of steps from start to end.
 
     Raises
     ------
     ValueError, TypeError
-        If a number is not finite, the step is not positive, the end before the start, or the number
-        of steps not an integer to a relative 1e-9 and the rounding of the times.
+        If a number is not finite, the step is not positive, the end before the start, the number of
+        steps not an integer to a relative 1e-9 and the rounding of the times, or the step lost in
+        that.
 
     Examples
     --------
@@ -87,6 +108,8 @@ def count_steps(start: float, step: float, end: float) -> int:
     n_steps = round(quotient)
     if n_steps < 0:
         raise ValueError(f"end must not be before the start at t = {start!r}, got {end!r}")
+    check_told_apart(start, step)
+    check_told_apart(end, step)
     nothing = n_steps == 0 and not same_time(start, end)
     rounded = math.ulp(max(abs(start), abs(end))) / step
     if nothing or abs(quotient - n_steps) > TOLERANCE * max(1, n_steps) + rounded:

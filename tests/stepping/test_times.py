@@ -114,6 +114,20 @@ def test_steps_to_an_end_that_is_rounded_are_counted(step):
         count_steps(1.7e9, step, 1.7e9 + 20.01 * step)
 
 
+@pytest.mark.parametrize(("start", "step"), [(1e15, 0.1), (1.7e9, 1e-7), (-1e15, 0.1), (0.0, 0.1)])
+def test_steps_that_the_times_cannot_hold_are_refused_at_either_end(start, step):
+    """Any end would be a whole number of them away, and times would repeat."""
+    with pytest.raises(ValueError, match=r"step must be larger against the time, t = -?1.*e\+"):
+        count_steps(start, step, start + 2.5 * step if start else 1e14)
+    assert count_steps(1e15, 0.25, 1e15 + 1) == 4  # these it holds
+
+
+def test_a_run_from_a_late_state_with_short_steps_is_refused():
+    late = ec.State(1.7e9, SPACE.nodes, None, space=SPACE)
+    with pytest.raises(ValueError, match=r"t = 1\.7e\+09, got 1e-07: the times .* not told apart"):
+        ec.evolve(SPACE, AT_REST, 1, 1e-7, 1.7e9 + 3e-7, start=[late])
+
+
 def test_an_end_that_is_later_than_rounding_is_reached_by_no_step():
     """However long the step."""
     assert count_steps(1.0, 1e6, 1 + 0.5e-12) == 0
