@@ -260,6 +260,13 @@ FAULTS = [
         "integral = fourier.mean() * 2 * np.pi",
         "integral = fourier.mean() * np.pi",
     ),
+    # a power of τ too many
+    (
+        "09",
+        "N-4.21-gamma",
+        "return ec.bdf.delta(p)[0] * top * n**p",
+        "return ec.bdf.delta(p)[0] * top * n ** (p + 1)",
+    ),
     # starting errors that are divided by τ
     (
         "09",
