@@ -32,7 +32,7 @@ from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, merging, repeated
 from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
-from esfem_core.surfaces.text_files import counted_from_the_first
+from esfem_core.surfaces.text_files import counted_from_the_first, points_and_polygons
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -317,7 +317,11 @@ def _of_file(path: Path) -> Elements:
         raise ValueError(_unknown(path, kind))
     said = io.StringIO()
     try:
-        if kind in BY_TRIMESH:
+        if kind == "off":
+            points, polygons = points_and_polygons(path.read_text("utf-8", "replace"))
+            cells = [("triangle" if p.shape[1] == 3 else "polygon", p) for p in polygons]
+            found = Elements(path.name, points, cells, None, [])
+        elif kind in BY_TRIMESH:
             found = _of_scene(path.name, _scene(path, kind))
         else:
             meshio = _meshio(path)

@@ -2,7 +2,11 @@
 
 import re
 
-__all__ = ["counted_from_the_first"]
+import numpy as np
+
+from esfem_core.checks import Array, Ints
+
+__all__ = ["counted_from_the_first", "points_and_polygons"]
 
 
 def counted_from_the_first(data: bytes) -> bytes | None:
@@ -34,3 +38,35 @@ def counted_from_the_first(data: bytes) -> bytes | None:
             words[1:] = [b"%d" % (i if i > 0 else count + 1 + i) for i in corners]
         lines.append(b" ".join(words))
     return b"\n".join(lines)
+
+
+def points_and_polygons(text: str) -> tuple[Array, list[Ints]]:
+    """Points and polygons, by their number of corners, of an OFF file.
+
+    trimesh takes a file that was cut off for a surface with holes, and cannot read polygons of
+    several kinds beside each other.
+
+    Examples
+    --------
+    >>> text = "OFF 4 2 0  0 0 0  1 0 0  1 1 0  0 1 0  3 0 1 2  3 0 2 3"
+    >>> points_and_polygons(text.replace("  ", chr(10)))[1]
+    [array([[0, 1, 2],
+           [0, 2, 3]])]
+    """
+    _, word, rest = re.sub("#.*", "", text).partition("OFF")
+    rows = [words for line in rest.splitlines() if (words := line.split())]
+    if not word or not rows or len(rows[0]) < 2:
+        raise ValueError("OFF and the numbers of points and polygons must come first")
+    n, m = int(rows[0][0]), int(rows[0][1])
+    points = [row[:3] for row in rows[1 : n + 1] if len(row) > 2]
+    polygons: dict[int, list[list[str]]] = {}
+    for row in rows[n + 1 : n + m + 1]:
+        if len(row) > (k := int(row[0])):
+            polygons.setdefault(k, []).append(row[1 : k + 1])
+    count = sum(map(len, polygons.values()))
+    if len(points) < n or count < m:
+        raise ValueError(
+            f"it was cut off: of {n} points it has {len(points)}, and of {m} polygons {count}"
+        )
+    cells = [np.array(polygons[k], dtype=np.int64) for k in sorted(polygons) if k > 2]
+    return np.array(points, dtype=float).reshape(-1, 3), cells

@@ -398,3 +398,30 @@ def test_a_corner_before_the_first_vertex_of_an_obj_file_is_refused(folder):
     path.write_text("v 0 0 0\nv 1 0 0\nf -3 -2 -1\nv 0 1 0\n")
     with pytest.raises(ValueError, match="a face has corner -3, but 2 vertices above it"):
         read(path)
+
+
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.1, 0.5, 0.9])
+def test_an_off_file_that_was_cut_off_is_no_surface_with_holes(folder, share):
+    path = written(folder, "sphere.off")
+    assert len(ec.SurfaceSpace.read(path, report=None).cells) == 80
+    path.write_text(path.read_text()[: int(share * path.stat().st_size)])
+    with pytest.raises(ValueError, match=r"(it was cut off: of 42 points|OFF and the numbers)"):
+        read(path)
+
+
+@pytest.mark.parametrize("corners", [3, 4, 6])
+@pytest.mark.parametrize("head", ["OFF", "COFF # colours"])
+def test_polygons_of_several_kinds_in_an_off_file_are_cut_into_triangles(folder, corners, head):
+    """A prism: two polygons beside its sides, which have four corners."""
+    angle = 2 * np.pi * np.arange(corners) / corners
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = [f"{x} {y} {z} 255 0 0" for z in (0, 1) for x, y in rim]
+    n = np.arange(corners)
+    after = np.roll(n, -1)
+    polygons = [n[::-1], corners + n, *np.stack([n, after, corners + after, corners + n], axis=1)]
+    rows = [" ".join(map(str, [len(p), *p, 0, 255, 0])) for p in polygons]
+    path = folder / "prism.off"
+    path.write_text("\n".join([head, f"{2 * corners} {len(rows)} 0", *points, "", *rows]))
+    tri, said = read(path)
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert tri.volume == pytest.approx(corners / 2 * np.sin(2 * np.pi / corners))
