@@ -59,7 +59,10 @@ def remeshed(
         Of one space, in the order of time: the last p of a run of order p. All go to the same new
         space, and their new nodes are the same particles. With one state a run of order 1 goes on.
     h : float, optional
-        Length of edges; the mean of the last state's if None.
+        Length of edges; the mean of the last state's if None. Where the surface bends, edges are
+        shorter: up to 0.7/√(κ₁² + κ₂²) with the principal curvatures κ, half the radius on a
+        sphere, so that a larger h changes nothing there; but not below h/32 and half the shortest
+        edge of the old element. From there they grow by 0.4 of the distance at most.
     problem : Problem, optional
         What is solved. Its species say which functions are conserved; if not given, those with
         products in a state are, or all functions if no state has been computed by a step.

@@ -129,6 +129,12 @@ def test_edges_are_shorter_where_the_surface_bends():
     assert abs(ec.measure(new).volume / ec.measure(old).volume - 1) < 0.06
 
 
+def test_on_a_sphere_edges_are_no_longer_than_half_its_radius():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2))
+    new = ec.remeshed(ec.State(0.0, space.nodes, None, space=space), 1.1)
+    assert ec.mesh_quality(triangles(new)).h_mean == pytest.approx(0.7 / np.sqrt(2), rel=0.1)
+
+
 MASSES = ["updated", "extrapolated", "reassembled"]
 
 
