@@ -23,6 +23,7 @@ from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeat
 __all__ = [
     "FARTHEST",
     "FLATTEST",
+    "SMALLEST",
     "Fault",
     "check_is_trimesh",
     "fans",
@@ -40,6 +41,7 @@ TURNING = (
 )
 
 FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
+SMALLEST = 1e-70  # size of a surface, likewise, with edges of a thousandth of it and all digits
 
 
 def check_is_trimesh(name: str, value: object) -> None:
@@ -233,7 +235,8 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
         f"at a longest edge of about {longest:.3g}"
     )
     away = np.abs(vertices[faces[t]]).max()
-    if 0 < longest < 1e-8 * away:
+    size = longest or diagonal_of(vertices)  # all may have become one point
+    if size < 1e-8 * away:
         return Fault(
             f"{text}; at a distance of {away:.3g} from the origin, numbers are rounded to "
             f"{np.spacing(away):.1g}",

@@ -120,9 +120,9 @@ def read_mesh(
     FileNotFoundError, ImportError
         If there is no such file, or a package that reads it is missing.
     TypeError, ValueError
-        If the source is none of these, cannot be read, holds no triangles, or has coordinates
-        beyond 1e75; if it is a scene whose parts have different units; if `unit` is given, but
-        unknown or the source has none.
+        If the source is none of these, cannot be read, holds no triangles, has coordinates beyond
+        1e75, or is less than 1e-70 across; if it is a scene whose parts have different units; if
+        `unit` is given, but unknown or the source has none.
 
     Examples
     --------

@@ -13,6 +13,7 @@ import trimesh
 from esfem_core.checks import Array, Bools, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
+    SMALLEST,
     Fault,
     check_is_trimesh,
     fans,
@@ -90,9 +91,9 @@ def repair(
     Raises
     ------
     TypeError, ValueError
-        If `tri` is not a :class:`trimesh.Trimesh` or has coordinates beyond 1e75; if what comes out
-        would be refused: it is not closed, not a manifold, or not orientable. The message says what
-        is left to a person.
+        If `tri` is not a :class:`trimesh.Trimesh`, has coordinates beyond 1e75 or is less than
+        1e-70 across; if what comes out would be refused: it is not closed, not a manifold, or not
+        orientable. The message says what is left to a person.
 
     Examples
     --------
@@ -134,7 +135,7 @@ def repair(
 
 
 def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
-    """Refuse vertices of triangles so far away that areas and volumes are no numbers.
+    """Refuse vertices of triangles so far away, or so close, that areas and volumes are lost.
 
     Those that are not finite are left to a repair.
 
@@ -151,6 +152,14 @@ def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
         raise ValueError(
             f"{name} must have coordinates up to {FARTHEST:g}, but point {used[0]} is "
             f"{vertices[used[0]].tolist()}; give lengths in a larger unit"
+        )
+    used = np.unique(faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)])
+    points = vertices[used][np.isfinite(vertices[used]).all(axis=1)]
+    size = np.ptp(points, axis=0).max() if len(points) else 0.0
+    if 0 < size < SMALLEST:
+        raise ValueError(
+            f"{name} must be {SMALLEST:g} or more across, but is {size:.3g}; give lengths in a "
+            "smaller unit"
         )
 
 

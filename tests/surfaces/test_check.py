@@ -152,6 +152,23 @@ def test_small_surfaces_and_far_ones_are_accepted_or_the_rounding_is_named(size,
         assert "oriented inwards" in message(inside_out)
 
 
+def test_a_surface_that_rounding_has_made_one_point_is_told_so():
+    text = message(mesh(SPHERE.vertices + 1e17, SPHERE.faces))
+    assert text.endswith(
+        "rounded to 2e+01; subtract the middle of the surface before it is rounded"
+    )
+
+
+def test_a_surface_too_small_for_its_areas_is_refused():
+    """That of a unit sphere times 1e-80 came out as 12.41 e-160, and not 12.33."""
+    ec.check_triangulation(mesh(1e-70 * SPHERE.vertices, SPHERE.faces))
+    for size in (1e-71, 1e-80, 1e-100, 1e-300):
+        tri = mesh(size * SPHERE.vertices, SPHERE.faces)
+        assert message(tri).startswith("tri must be 1e-70 or more across, but is 2e-")
+        with pytest.raises(ValueError, match=r"nodes must be 1e-70 or more .* in a smaller unit"):
+            ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces)
+
+
 def test_a_torus_may_be_small():
     for R in (1e-3, 1e-6, 1e-8):
         tri = ec.torus(R, 0.4 * R, 20, 8)
