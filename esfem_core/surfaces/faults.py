@@ -251,7 +251,12 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
 def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fault | None:
     if (sides.times != 2).any() and (elements := _of_elements(vertices, faces)):
         return elements
-    for bad in ((sides.times == 1) & (not boundary), sides.times > 2):
+    rim, many = (sides.times == 1) & (not boundary), sides.times > 2
+    # A fin has wrong edges of both kinds: to close the surface would be the wrong advice.
+    at_rim, at_many = (wrong.reshape(-1, 3).any(axis=1) for wrong in (rim, many))
+    if (at_rim & at_many).any():
+        rim = np.zeros_like(rim)
+    for bad in (rim, many):
         if not bad.any():
             continue
         e = int(np.argmax(bad))

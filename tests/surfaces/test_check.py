@@ -169,6 +169,14 @@ def test_a_surface_too_small_for_its_areas_is_refused():
             ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces)
 
 
+def test_a_fin_of_one_triangle_is_to_be_dropped_and_not_closed():
+    a, b = SPHERE.faces[0, :2]
+    vertices = np.vstack([SPHERE.vertices, 1.3 * SPHERE.vertices[a]])
+    text = message(mesh(vertices, np.vstack([SPHERE.faces, [[a, b, 42]]])))
+    assert text.startswith(f"the surface is not a manifold: edge ({a}, {b}) of triangle 0 belongs")
+    assert "without walls inside it and fins: tri.update_faces(keep)" in text
+
+
 def test_a_torus_may_be_small():
     for R in (1e-3, 1e-6, 1e-8):
         tri = ec.torus(R, 0.4 * R, 20, 8)
