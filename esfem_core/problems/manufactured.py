@@ -24,6 +24,7 @@ sympy is needed (``pip install "esfem-core[symbolic]"``); it is imported when a 
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from esfem_core.checks import Array, flag, number, package, shown
 from esfem_core.elements import Surface
 from esfem_core.laws import Prescribed, Regularised, Species
 from esfem_core.problems.problem import Exact, Problem
+from esfem_core.problems.smoothness import find_break, walks
 from esfem_core.surfaces import project_to_level_set
 
 __all__ = ["manufactured"]
@@ -39,6 +41,7 @@ __all__ = ["manufactured"]
 POSITIONS = ("x1", "x2", "x3")
 ORIGINS = ("p1", "p2", "p3")
 TOLERANCE = 1e-10  # of the checks, relative to the size of the surface
+TIMES = np.array([0.0, 0.1, 0.381966, 0.618034, 1.0])  # of the checks, relative to the last one
 SAMPLES = 400  # points that look for the surface
 ITERATIONS = 30  # of Newton's method: too few where it converges linearly, as to a double zero
 PATHS = (1, 2, 4, 8, 16, 32)  # numbers of steps in time on which it is tried
@@ -241,7 +244,9 @@ def manufactured(
     ValueError, TypeError
         If an expression has other symbols, cannot be read, or is not smooth, as those with absolute
         values; if d has no zeros or a vanishing gradient there, X(p, 0) is not p, or X(p, t) leaves
-        the surface; or if a number is out of range.
+        the surface; or if a number is out of range. Jumps and kinks are noticed on random walks on
+        the surface, at t = 0 and two later times: not those in time, nor where they are below a
+        hundredth of what the function, or its derivatives, range over.
 
     Examples
     --------
@@ -264,6 +269,7 @@ def manufactured(
     until, prescribed = number("until", until, above=0), flag("prescribed", prescribed)
     _check(level, path, until)
     exact_u = None if u is None else Expressions("u", u, POSITIONS, 1)
+    _check_smooth(level, path, exact_u, until)
 
     def u_of(x: Array, t: float) -> Array:
         assert exact_u is not None
@@ -332,7 +338,7 @@ def _check(level: Expressions, path: Motion, until: float) -> None:
             f"{_point(path.position.values(p[worst], 0.0))} at t = 0"
         )
     at_first = np.linalg.det(path.position.gradients(p, 0.0))
-    for t in until * np.array([0.1, 0.381966, 0.618034, 1.0]):
+    for t in until * TIMES[1:]:
         x = path.position.values(p, t)
         gradient = np.linalg.norm(level.gradients(x, t)[..., 0, :], axis=-1)
         with np.errstate(all="ignore"):
@@ -355,6 +361,30 @@ def _check(level: Expressions, path: Motion, until: float) -> None:
             )
 
 
+def _check_smooth(
+    level: Expressions, path: Motion, exact_u: Expressions | None, until: float
+) -> None:
+    """No jumps and no kinks on the surface, of which the right-hand sides would know nothing."""
+    p = _found(level)
+    origins = walks(p, partial(_newton_step, level, 0.0))
+    for t in until * TIMES[::2]:
+        x = path.position.values(p, t)
+        on = walks(x, partial(_newton_step, level, t))
+        _check_one_smooth(level, on, t)
+        _check_one_smooth(path.position, origins, t)
+        if exact_u is not None:
+            _check_one_smooth(exact_u, on, t)
+
+
+def _check_one_smooth(w: Expressions, on: Array, t: float) -> None:
+    found = find_break(lambda x: w.jet(x, t)[:3], on)
+    if found is not None:
+        what = "its derivatives jump" if found.kink else "it jumps"
+        raise ValueError(
+            f"{w.name} must be smooth, but at t = {t:.4g} {what} near {_point(found.point)}"
+        )
+
+
 def _found(level: Expressions) -> Array:
     """Points, (n, 3), of {d(x, 0) = 0}, by Newton's method from random ones of all sizes."""
     random = np.random.default_rng(0)
@@ -362,8 +392,7 @@ def _found(level: Expressions) -> Array:
     x, shift = size * random.normal(size=(SAMPLES, 3)), np.full(SAMPLES, np.inf)
     with np.errstate(all="ignore"):
         for _ in range(ITERATIONS):
-            g = level.gradients(x, 0.0)[:, 0]
-            step = -(level.values(x, 0.0) / np.sum(g * g, axis=1, keepdims=True)) * g
+            step = _newton_step(level, 0.0, x)
             x, shift = x + step, np.abs(step).max(axis=1)
         found: Array = x[(shift <= 1e-12 * np.abs(x).max(axis=1)) & np.isfinite(x).all(axis=1)]
     if len(found) < SAMPLES // 20:
@@ -372,6 +401,14 @@ def _found(level: Expressions) -> Array:
             f"{SAMPLES} points between 0.01 and 100: is its gradient zero on the surface?"
         )
     return found
+
+
+def _newton_step(level: Expressions, t: float, x: Array) -> Array:
+    """From points x, (n, 3), towards {d(x, t) = 0}."""
+    with np.errstate(all="ignore"):
+        g = level.gradients(x, t)[:, 0]
+        step: Array = -(level.values(x, t) / np.sum(g * g, axis=1, keepdims=True)) * g
+    return step
 
 
 def _point(x: Array) -> str:
