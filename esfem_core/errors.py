@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
+from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from scipy.sparse import csr_array, issparse
 from esfem_core.checks import Array, finite_array, function, iterable, object_of, real_array, shown
 from esfem_core.elements import SurfaceSpace, squared_differences
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, check_state, exact_state, same_time
+from esfem_core.stepping import State, check_exact_surface, check_state, exact_state, same_time
 
 __all__ = [
     "Errors",
@@ -27,6 +28,8 @@ __all__ = [
 
 
 INDEFINITE = 1e-8  # negative squares below this, relative to their terms, are rounding
+# Spaces on whose nodes the exact solution of a problem was found to begin: once is enough.
+FITTING: WeakKeyDictionary[Problem, WeakSet[SurfaceSpace]] = WeakKeyDictionary()
 LARGEST = 1e75  # the square of what is larger, times an entry of a matrix, may be no float
 
 
@@ -162,8 +165,9 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     Raises
     ------
     ValueError
-        If the problem has no exact solution, the state is not one of this space, something is not
-        finite, or u and the exact u differ in shape.
+        If the problem has no exact solution or one of another surface than that of the nodes of
+        the space, the state is not one of this space, something is not finite, or u and the exact u
+        differ in shape.
 
     Examples
     --------
@@ -176,6 +180,7 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     """
     check_state(space, state)
     exact = exact_state(space, problem, state.t)
+    _check_surface(space, problem)
     return _difference(space, state, exact, "problem.exact")
 
 
@@ -228,6 +233,7 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
             "have Exact(x, v, u, closest, origin), but has "
             f"{'none' if exact is None else 'not all of them'}"
         )
+    _check_surface(space, problem)
     x_of, v_of, u_of = exact.x, exact.v, exact.functions.get("u")
     closest, origin = exact.closest, exact.origin
     n = len(space.nodes)
@@ -299,6 +305,14 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
     """
     check_state(space, state)
     return _difference(space, state, reference, "reference")
+
+
+def _check_surface(space: SurfaceSpace, problem: Problem) -> None:
+    """Refuse a space that is not the initial surface, at the first of all states of a run."""
+    known = FITTING.setdefault(problem, WeakSet())
+    if space not in known:
+        check_exact_surface(space, problem)
+        known.add(space)
 
 
 def _difference(space: SurfaceSpace, state: State, reference: State, name: str) -> Errors:

@@ -94,6 +94,31 @@ def test_problems_without_what_an_error_needs_are_refused():
         ec.errors.lifted(SPACE, without, exact_state(0.0))
 
 
+def test_a_space_that_is_not_the_initial_surface_is_refused():
+    """Nodes of new triangles lie on the present surface, those of a larger sphere nowhere."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    new = ec.remeshed(ec.State(0.3, PROBLEM.exact.x(space.nodes, 0.3), None, space=space), 0.4)
+    large = ec.SurfaceSpace(ec.sphere("octahedron", 1).apply_scale(2))
+    for state in (new, ec.State(0.3, large.nodes, None, space=large)):
+        for measure in (ec.errors.compare, ec.errors.lifted):
+            with pytest.raises(ValueError, match=r"exact must belong .*; new .* remeshed\(states"):
+                measure(state.space, PROBLEM, state)
+
+
+def test_whether_a_space_is_the_initial_surface_is_asked_once():
+    asked = []
+
+    def closest(x, t):
+        asked.append(t)
+        return PROBLEM.exact.closest(x, t)
+
+    exact = ec.Exact(*PROBLEM.exact[:3], closest)
+    problem = ec.Problem(0.0, exact=exact)
+    for t in (0.1, 0.2, 0.3):
+        ec.errors.compare(SPACE, problem, exact_state(t))
+    assert asked == [0.0]
+
+
 def test_states_at_different_times_are_refused():
     with pytest.raises(ValueError, match=r"at the time of state, t = 0\.1, but is at 0\.2"):
         ec.errors.difference(SPACE, exact_state(0.1), exact_state(0.2))

@@ -14,6 +14,7 @@ from esfem_core.stepping.state import State
 __all__ = [
     "check_exact",
     "check_exact_functions",
+    "check_exact_surface",
     "check_motion_of_start",
     "check_slip",
     "check_start_of_motion",
@@ -22,6 +23,7 @@ __all__ = [
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
 LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
 OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
+NEW_TRIANGLES = "; new triangles know the initial surface by remeshed(states, h, problem)"
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
 
 
@@ -44,8 +46,7 @@ def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
         raise ValueError(
             "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
             f"{x[node].tolist()} for the node p = {space.nodes[node].tolist()}; a velocity "
-            "goes into laws.Prescribed(velocity=v), and new triangles know the initial surface by "
-            "remeshed(states, h, problem)"
+            f"goes into laws.Prescribed(velocity=v){NEW_TRIANGLES}"
         )
 
 
@@ -64,8 +65,8 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
     if not distance <= AT_START:
         raise ValueError(
             f"start must hold states of this motion, but node {node} is at "
-            f"{last.x[node].tolist()}, while X(p, t) = {x[node].tolist()} at t = {last.t:g}; new "
-            "triangles know the initial surface by remeshed(states, h, problem)"
+            f"{last.x[node].tolist()}, while X(p, t) = {x[node].tolist()} at t = {last.t:g}"
+            f"{NEW_TRIANGLES}"
         )
 
 
@@ -84,26 +85,9 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
     ------
     ValueError
     """
-    exact = problem.exact
+    check_exact_surface(space, problem)
+    exact, nodes = problem.exact, space.nodes
     assert exact is not None
-    nodes = space.nodes
-    x = finite_array("exact.x", exact.x(nodes.copy(), 0.0), nodes.shape)
-    node, distance = _farthest(x, nodes, nodes)
-    if not distance <= LATER:
-        raise ValueError(
-            "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
-            f"{x[node].tolist()} for the node p = {nodes[node].tolist()}"
-        )
-    if exact.closest is not None:
-        y = finite_array("exact.closest", exact.closest(nodes.copy(), 0.0), nodes.shape)
-        off = np.linalg.norm(y - nodes, axis=1)
-        node, h = int(np.argmax(off)), space.mesh_size(nodes)
-        if not off[node] <= OFF_SURFACE * h:
-            raise ValueError(
-                f"exact must belong to this surface, but the node {nodes[node].tolist()} has a "
-                f"distance of {off[node]:.3g} from the exact surface at t = 0, with triangles of "
-                f"h = {h:.3g}"
-            )
     if hasattr(problem.law, "position"):
         x = positions_of(problem.law, nodes, t, (0.0, nodes))
         wanted = finite_array("exact.x", exact.x(nodes.copy(), t), nodes.shape)
@@ -113,6 +97,41 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
                 f"exact must belong to the motion, but at t = {t:g} exact.x(p, t) = "
                 f"{wanted[node].tolist()} and the motion has {x[node].tolist()} for the node p = "
                 f"{nodes[node].tolist()}"
+            )
+
+
+def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:
+    """Refuse an exact solution of another surface than that of the nodes.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution.
+
+    Raises
+    ------
+    ValueError
+    """
+    exact = problem.exact
+    assert exact is not None
+    nodes = space.nodes
+    x = finite_array("exact.x", exact.x(nodes.copy(), 0.0), nodes.shape)
+    node, distance = _farthest(x, nodes, nodes)
+    if not distance <= LATER:
+        raise ValueError(
+            "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
+            f"{x[node].tolist()} for the node p = {nodes[node].tolist()}{NEW_TRIANGLES}"
+        )
+    if exact.closest is not None:
+        y = finite_array("exact.closest", exact.closest(nodes.copy(), 0.0), nodes.shape)
+        off = np.linalg.norm(y - nodes, axis=1)
+        node, h = int(np.argmax(off)), space.mesh_size(nodes)
+        if not off[node] <= OFF_SURFACE * h:
+            raise ValueError(
+                f"exact must belong to this surface, but the node {nodes[node].tolist()} has a "
+                f"distance of {off[node]:.3g} from the exact surface at t = 0, with triangles of "
+                f"h = {h:.3g}{NEW_TRIANGLES}"
             )
 
 
