@@ -19,6 +19,7 @@ __all__ = [
     "Array",
     "Bools",
     "Ints",
+    "check_even",
     "finite_array",
     "flag",
     "frozen",
@@ -507,6 +508,22 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
     if not _fits(array.shape, shape):
         raise ValueError(f"{name} must have shape {_text(shape)}, got {array.shape}")
     return np.asarray(array, dtype=float)
+
+
+def check_even(name: str, values: object) -> None:
+    """Refuse lists in lists of different lengths, which are no array: NumPy does not say whose.
+
+    Examples
+    --------
+    >>> check_even("u0", [[1.0], [1.0, 2.0]])
+    Traceback (most recent call last):
+        ...
+    ValueError: u0 must have rows of one length, got [[1.0], [1.0, 2.0]]
+    """
+    try:
+        np.asarray(values)
+    except ValueError:
+        raise ValueError(f"{name} must have rows of one length, got {shown(values)}") from None
 
 
 def finite_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:

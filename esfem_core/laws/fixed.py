@@ -8,6 +8,7 @@ import numpy as np
 from esfem_core.checks import (
     Array,
     Ints,
+    check_even,
     finite_array,
     frozen,
     integer_array,
@@ -62,6 +63,8 @@ class Fixed:
         """
         if isinstance(given, Fixed):
             return given
+        if isinstance(given, list):
+            raise TypeError(f"fixed must be {KINDS}, got {shown(given)}; a pair is a tuple")
         if not isinstance(given, tuple):
             if not callable(given) and np.ndim(given) > 0:
                 raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
@@ -160,6 +163,7 @@ class Fixed:
 def _where(given: Any) -> Any:
     if given is None:
         raise TypeError("the nodes of fixed must be numbers of nodes or a bool for each, got None")
+    check_even("the nodes of fixed", given)
     if np.asarray(given).dtype != bool:
         given = integer_array("the nodes of fixed", given, ("B",))
     return frozen(np.asarray(given))
@@ -178,6 +182,7 @@ def _values(given: Any) -> Any:
         raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
     if callable(given):
         return given
+    check_even("the values of fixed", given)
     if np.ndim(given) == 0:
         _check_number(given)
         return number("fixed", given)

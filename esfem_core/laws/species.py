@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, finite_array, flag, frozen, function, number, shown
+from esfem_core.checks import Array, check_even, finite_array, flag, frozen, function, number, shown
 from esfem_core.elements import NotFiniteError, Surface, check_tensors, combination
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
@@ -156,6 +156,7 @@ class Species:
             function("source", self.source, "of a Surface or None")
         if self.rate is not None and not callable(self.rate):
             number("rate", self.rate, least=0)
+        check_even("diffusivity", self.diffusivity)
         if not callable(self.diffusivity):
             if np.ndim(self.diffusivity) == 0:
                 number("diffusivity", self.diffusivity, least=0)
@@ -288,6 +289,7 @@ def check_initial(name: str, value: object) -> None:
     """
     if value is None or callable(value):
         return
+    check_even(name, value)
     if isinstance(value, np.ndarray | list | tuple) and np.size(value):
         finite_array(name, value, ("...",))
         return

@@ -148,6 +148,11 @@ class WithNormal:
             ValueError,
             r"diffusivity must be finite, but diffusivity\[1\] is nan",
         ),
+        (
+            {"diffusivity": [1.0, np.ones(2)]},
+            ValueError,
+            r"diffusivity must have rows of one length, got \[1\.0, array",
+        ),
         ({"f": 3.0}, TypeError, r"f must be a function of a Surface or None, got 3\.0"),
         ({"g": 3.0}, TypeError, r"g must be a function of a Surface or None, got 3\.0"),
         ({"motion": 3.0}, TypeError, r"motion must be a function or None, got 3\.0"),
@@ -286,6 +291,10 @@ def test_initial_values():
             u(values)
     with pytest.raises(ValueError, match=r"u0 must be finite, but u0\[0\] is nan"):
         u(lambda x: np.full(len(x), np.nan))
+    with pytest.raises(
+        ValueError, match=r"u0 must have rows of one length, got \[\[1\], \[1, 2\]\]"
+    ):
+        u([[1], [1, 2]])
     with pytest.raises(TypeError, match="u0 must hold real numbers, got complex128"):
         u(1j * x)
     for columns, found in [(slice(0, 3), r"\(3,\)"), (0, r"one component, \(N,\)")]:
