@@ -6,9 +6,9 @@ from readers import chapters, run
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the kernel's client
-@pytest.mark.parametrize("number", ["03", "15"])
-def test_a_chapter_runs_alone_with_another_degree_and_step(number, monkeypatch):
+@pytest.mark.parametrize(("number", "factor"), [("03", "2"), ("15", "4 / 5")])
+def test_a_chapter_runs_alone_with_another_degree_and_step(number, factor, monkeypatch):
     monkeypatch.setenv("ESFEM_STRICT", "1")  # of the test, not of the reader
     (path,) = chapters([number])
-    changes, _ = run(path, factor="2")
+    changes, _ = run(path, factor)
     assert [change.split()[0] for change in changes] == ["DEGREE", "STEP"]
