@@ -7,7 +7,6 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, function, number, object_of, whole_number
 from esfem_core.elements import Surface, SurfaceSpace
-from esfem_core.laws import Regularised
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping import bdf, exact_state
 from esfem_core.surfaces import derivative
@@ -20,9 +19,9 @@ from esfem_core.theory.defects import (
     force_load,
     rate_of_mass,
     rate_of_u,
-    regularised_law,
     source_load,
     stretching,
+    velocity_law,
 )
 from esfem_core.theory.forms import Lift, divergence, lift, stiffness
 from esfem_core.theory.geometry import apply, tangent_projection
@@ -68,7 +67,7 @@ def temporal_terms_v(
     True
     """
     order, step = _checked(space, problem, order, step)
-    law = cast(Regularised, regularised_law(problem))
+    law = velocity_law(problem)
     now = exact_values(space, problem, t)
     far = _extrapolated(space, problem, order, step, t)
     (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
@@ -151,8 +150,7 @@ def temporal_terms_u(
 def _checked(space: SurfaceSpace, problem: Problem, order: int, step: float) -> tuple[int, float]:
     object_of("space", space, SurfaceSpace)
     constant_diffusivity(problem)
-    if regularised_law(problem) is None:
-        raise ValueError("these terms are those of a velocity law, but the motion is prescribed")
+    velocity_law(problem)
     return whole_number("order", order, 1, bdf.MOST_STEPS), number("step", step, above=0)
 
 

@@ -45,6 +45,7 @@ __all__ = [
     "source_load",
     "spatial_defects",
     "stretching",
+    "velocity_law",
 ]
 
 
@@ -119,7 +120,7 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     True
     """
     if issparse(K):
-        K = square_matrix("K", K).tocsr()
+        K = square_matrix("K", K).astype(float).tocsr()
         check_symmetric("K", K)
         check_definite("K", K)
         r = finite_array("functional", functional, (K.shape[0], "..."))
@@ -373,7 +374,8 @@ def diffusion(problem: Problem, A: csr_array, u: Array) -> Array:
         If an argument is not as stated, or as by :func:`constant_diffusivity`.
     """
     D, A = constant_diffusivity(problem), square_matrix("A", A)
-    return np.asarray((A @ finite_array("u", u, (A.shape[0], "..."))) * D)
+    shape = (A.shape[0], "...") if np.ndim(D) == 0 else (A.shape[0], len(np.atleast_1d(D)))
+    return np.asarray((A @ finite_array("u", u, shape)) * D)
 
 
 def constant_diffusivity(problem: Problem) -> float | Array:
@@ -425,6 +427,23 @@ def regularised_law(problem: Problem) -> Regularised | None:
             f"{type(problem.law).__name__}"
         )
     return problem.law
+
+
+def velocity_law(problem: Problem) -> Regularised:
+    """The law of [N], where nothing else will do.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For any other law, a prescribed motion, and what is no problem.
+    """
+    law = regularised_law(problem)
+    if law is None:
+        raise ValueError(
+            "problem must have the velocity law of [N], laws.Regularised, but its motion is "
+            "prescribed"
+        )
+    return law
 
 
 def source_load(

@@ -27,7 +27,7 @@ from esfem_core.theory.defects import (
     constant_diffusivity,
     defects,
     dual_norm,
-    regularised_law,
+    velocity_law,
 )
 
 __all__ = ["ErrorTerms", "error_terms", "proposition_1", "response"]
@@ -54,7 +54,8 @@ def response(
     Parameters
     ----------
     space, problem : SurfaceSpace, Problem
-        With exact values. With a prescribed motion, only ``chosen(n).u`` counts.
+        With exact values and the law of [N]. (Where the motion is prescribed, v is a quotient of
+        exact positions, and its error is no answer to a defect.)
     order : int
     step, end : float
         As for :func:`esfem_core.evolve`.
@@ -72,7 +73,7 @@ def response(
     Raises
     ------
     TypeError, ValueError
-        If the problem has no exact values or is none of the theory, `start` does not hold p pairs
+        If the problem has no exact values or is not that of [N], `start` does not hold p pairs
         of the right shapes, or as `evolve` does, at the call; if chosen defects have the wrong
         shape, in their step.
 
@@ -95,7 +96,7 @@ def response(
     order, step = whole_number("order", order, 1, MOST_ORDER), number("step", step, above=0)
     function("chosen", chosen, "of the number of a step")
     constant_diffusivity(problem)
-    regularised_law(problem)
+    velocity_law(problem)
     if start is not None:
         start = _checked_start(order, start)
     states = [exact_state(space, problem, n * step) for n in range(order)]

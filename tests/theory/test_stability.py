@@ -58,6 +58,8 @@ def test_starting_errors_stay_where_they_are():
 
 
 def test_starting_errors_and_defects_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match=r"problem must have the velocity law .* is prescribed"):
+        response(SPACE, ec.problems.oscillating_ellipsoid(), 2, 0.1, 0.3, nothing)
     with pytest.raises(ValueError, match=r"start must hold p = 3 pairs \(e_x, e_u\), got 2"):
         response(SPACE, PROBLEM, 3, 0.1, 0.3, nothing, [(ZERO, ZERO[:, 0])] * 2)
     with pytest.raises(ValueError, match=r"start\[1\]: e_u must have shape \(42,\), got \(42, 3\)"):
