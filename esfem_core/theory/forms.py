@@ -384,7 +384,9 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
     >>> print(f"{relative_norm(-3 * M, M):.6f} {relative_norm(2 * A, A, seminorm=True):.6f}")
     3.000000 2.000000
     """
-    form, norm = square_matrix("form", form), square_matrix("norm", norm)
+    form, norm = (
+        square_matrix(name, given).astype(float) for name, given in (("form", form), ("norm", norm))
+    )
     flag("seminorm", seminorm)
     if form.shape != norm.shape:
         raise ValueError(f"form and norm must have one shape, got {form.shape} and {norm.shape}")
@@ -404,6 +406,8 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
             )
         form, norm = form[1:, 1:], norm[1:, 1:]
     check_definite("norm", norm)
+    if not abs(form).max() > 0:  # an eigenvalue solver would start from a vector that is zero
+        return 0.0
     if form.shape[0] <= DENSE:
         values = eigh(form.toarray(), norm.toarray(), eigvals_only=True)
         return float(np.abs(values).max())

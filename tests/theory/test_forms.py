@@ -180,6 +180,14 @@ def test_velocities_are_finite_and_have_three_components(function):
         function(space, x, np.full((n, 3), np.inf))
 
 
+def test_the_relative_norm_of_zero_is_zero(monkeypatch):
+    space = torus_space(1, 5)
+    M, _ = space.mass_stiffness(space.nodes)
+    for dense in (forms.DENSE, 10):
+        monkeypatch.setattr(forms, "DENSE", dense)
+        assert forms.relative_norm(M - M, M) == 0
+
+
 def test_forms_without_a_relative_norm_are_refused():
     space = torus_space(1)
     x = space.nodes
