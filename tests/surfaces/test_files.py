@@ -358,6 +358,11 @@ def test_options_are_looked_at_before_a_file_is_read(option):
         ec.read_mesh("none.stl", **option)
 
 
+def test_an_address_is_no_path_and_is_shown_as_it_is():
+    with pytest.raises(ValueError, match=r"got the address https://x\.org/a\.stl: download it"):
+        read("https://x.org/a.stl")
+
+
 def test_a_path_where_nothing_can_be_is_named():
     with pytest.raises(ValueError, match=r"source must be the path of a file, got .*too long"):
         read("a" * 300 + ".ply")
