@@ -127,6 +127,9 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
 def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Array:
     """Values of a finite element function at the points of Γ_h[x] closest to given ones.
 
+    A point that is as far from all of the surface, as the centre of a sphere, is compared with
+    every element, and its value is that at one of many closest points.
+
     Parameters
     ----------
     space : SurfaceSpace

@@ -218,7 +218,7 @@ def _descend(d: Field, gradient: Field, start: Array) -> Array:
     raise ValueError(
         f"Newton's method does not reach the surface from {start[todo[0]].tolist()} "
         f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
-        "vanishes on the surface"
+        "vanishes on the surface, or what is meshed is thinner there than triangles are long"
     )
 
 
