@@ -6,7 +6,7 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
-from esfem_core.laws import positions_of
+from esfem_core.laws import Prescribed, positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
@@ -16,12 +16,14 @@ __all__ = [
     "check_exact_functions",
     "check_exact_surface",
     "check_motion_of_start",
+    "check_precision",
     "check_slip",
     "check_start_of_motion",
 ]
 
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
 LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
+SINGLE = 1e-6  # likewise: single precision rounds by less
 OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
 NEW_TRIANGLES = "; new triangles know the initial surface by remeshed(states, h, problem)"
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
@@ -42,11 +44,34 @@ def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
             "goes into laws.Prescribed(velocity=v)"
         ) from error
     node, distance = _farthest(x, space.nodes, space.nodes)
+    if AT_START < distance < SINGLE and np.array_equal(x, x.astype(np.float32)):
+        raise ValueError(
+            f"motion must start on the surface, X(p, 0) = p, but is off by {distance:.1g} of its "
+            "size, by the rounding of single precision: compute it in double"
+        )
     if not distance <= AT_START:
         raise ValueError(
             "motion must start on the surface, X(p, 0) = p, but X(p, 0) = "
             f"{x[node].tolist()} for the node p = {space.nodes[node].tolist()}; a velocity "
             f"goes into laws.Prescribed(velocity=v){NEW_TRIANGLES}"
+        )
+
+
+def check_precision(law: object, first: State) -> None:
+    """Refuse a velocity field in single precision: no step is small enough for its integration.
+
+    Raises
+    ------
+    TypeError
+    """
+    if not isinstance(law, Prescribed) or law.field is None:
+        return
+    with np.errstate(all="ignore"):  # what is not finite is refused when it is integrated
+        kind = np.asarray(law.field(first.x.copy(), first.t)).dtype
+    if kind in (np.float16, np.float32):
+        raise TypeError(
+            f"velocity(x, t) must be in double precision, got {kind}: as its flow is integrated to "
+            "1e-12, the rounding of single precision makes it a field that is not smooth"
         )
 
 

@@ -40,6 +40,7 @@ from esfem_core.stepping.agreement import (
     check_exact,
     check_exact_functions,
     check_motion_of_start,
+    check_precision,
     check_slip,
     check_start_of_motion,
 )
@@ -239,6 +240,7 @@ def evolve(
         check_exact(space, problem, step)
     if given == "exact":
         check_exact_functions(space, problem, first)
+    check_precision(problem.law, first)
     check_slip(space, problem.law, first)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)

@@ -175,6 +175,19 @@ def test_a_velocity_that_is_rough_comes_to_an_end(monkeypatch):
         law.position(np.eye(3), 0.1, (0.0, np.eye(3)))
 
 
+def test_single_precision_is_named_before_a_step():
+    """The integrator would make ever smaller steps, and the motion not begin at the nodes."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    turning = ec.laws.Prescribed(velocity=lambda x, t: np.cross([0, 0, 1], x).astype("float32"))
+    with pytest.raises(TypeError, match=r"velocity\(x, t\) must be in double .*, got float32: as"):
+        ec.evolve(space, ec.Problem(law=turning), 1, 0.1, 0.1)
+    growing = ec.Problem(motion=lambda p, t: ((1 + t) * p).astype("float32"))
+    with pytest.raises(
+        ValueError, match=r"motion must .* off by 4e-08 of its size, by the rounding"
+    ):
+        ec.evolve(space, growing, 1, 0.1, 0.1)
+
+
 def test_a_motion_that_is_not_finite_stops_the_run():
     def motion(p, t):
         return np.where((t > 0.25) & (p[:, :1] > 1), np.nan, (1 + t) * p)
