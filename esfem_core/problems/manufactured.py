@@ -133,7 +133,7 @@ class Expressions:
         """A function of points (..., 3) and a time with values (..., *shape)."""
         try:
             function = _sympy().lambdify(self.symbols, expressions, "numpy", cse=True)
-        except NotImplementedError as error:  # an integral, say
+        except (NotImplementedError, ValueError) as error:  # an integral, the derivative of Mod
             raise ValueError(f"{self.name} has no form that NumPy can evaluate: {error}") from None
 
         def evaluate(x: Array, t: float) -> Array:

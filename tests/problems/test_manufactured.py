@@ -246,6 +246,7 @@ class TestRefused:
             ("x1 +* x2", STILL, None, "d must be an expression, got"),
             (UNIT, STILL, "abs(x1)", "u must be smooth and of functions that NumPy has, but it or"),
             (UNIT, STILL, "Max(x1, 0)", "u must be smooth and of functions that NumPy has"),
+            (UNIT, STILL, "Mod(x1, 1)", "u has no form that NumPy can evaluate: "),
             (UNIT, STILL, "erf(x1)", "u must be smooth and of functions that NumPy has"),
             (UNIT, "p1", None, "motion must be three expressions"),
             (UNIT, ["p1", "p2"], None, "motion must be three expressions"),
