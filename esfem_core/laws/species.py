@@ -244,12 +244,14 @@ class Species:
                 f"{called} must return numbers, but returned None: is a return missing? Zero is 0.0"
             )
         trailing = at.fields[name].shape[1:]
+        _check_pair(called, returned, at, trailing)
         flux = None
         if isinstance(returned, tuple):
             if len(returned) != 2:
                 raise ValueError(
                     f"{called} must return values or a pair (values, flux), got "
-                    f"{len(returned)} of them"
+                    f"{len(returned)} of them; components stand side by side in one array, "
+                    "np.stack([...], axis=-1)"
                 )
             returned, flux = returned
             if flux is not None:
@@ -300,6 +302,25 @@ def check_initial(name: str, value: object) -> None:
             f"{name} must be a function of points (N, 3), nodal values or a number, got "
             f"{shown(value)}"
         ) from None
+
+
+def _check_pair(called: str, returned: object, at: Surface, trailing: tuple[int, ...]) -> None:
+    """Refuse what looks like a pair (values, flux) and is none, or is none and is meant as one."""
+    if not isinstance(returned, tuple | list) or len(returned) != 2:
+        return
+    points = at.density.shape
+    shapes = [np.shape(one) for one in returned if isinstance(one, np.ndarray)]
+    if isinstance(returned, tuple) and trailing and shapes == [points, points]:
+        raise ValueError(
+            f"{called} must return one array of shape {(*points, *trailing)}, got two of shape "
+            f"{points}: a tuple is (values, flux), components stand side by side, "
+            "np.stack([...], axis=-1)"
+        )
+    if isinstance(returned, list) and len(set(shapes)) == 2:
+        raise TypeError(
+            f"{called} must return values or a pair (values, flux), got a list of two arrays, of "
+            f"shapes {shapes[0]} and {shapes[1]}: a pair is a tuple"
+        )
 
 
 def _check_definite(D: Array, at: Surface) -> None:

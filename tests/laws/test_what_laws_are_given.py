@@ -26,6 +26,19 @@ def test_a_speed_of_another_shape_is_refused(shape):
         law.load(AT)
 
 
+def test_what_looks_like_values_and_flux_and_is_not_is_refused_with_what_was_meant():
+    both = np.stack([AT.x[:, 0], AT.x[:, 1]], axis=-1)
+    at = ec.Surface(SPACE, SPACE.nodes, {"u": both, "w": AT.x[:, 2]})
+    apart = ec.Species(1.0, lambda at: (at.u[..., 0], at.u[..., 1]))
+    with pytest.raises(ValueError, match=r"f of 'u' must .*\(32, 6, 2\), got two .* np\.stack\(\["):
+        apart.load("u", at)
+    listed = ec.Species(1.0, lambda at: [at["w"], at.grad("w")])
+    with pytest.raises(
+        TypeError, match=r"of 'w' must .*\(32, 6\) and \(32, 6, 3\): a pair is a tup"
+    ):
+        listed.load("w", at)
+
+
 @pytest.mark.parametrize("lowest", [-0.1, 0.0])
 def test_a_tensor_with_one_negative_eigenvalue_on_the_tangent_plane_is_refused(lowest):
     """The other one is positive, and that in the direction of the normal does not count."""
