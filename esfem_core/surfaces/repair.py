@@ -56,8 +56,8 @@ def repair(
 
     In this order, and only where it is needed:
 
-    1. triangles with corners that are missing or not finite are dropped, then vertices without
-       triangles;
+    1. of triangles at one place, oriented alike, one is kept; those with corners that are missing
+       or not finite are dropped, then vertices without triangles;
     2. vertices at one place become one, whatever their texture or normal (first equal ones, then
        those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it
        and no proper triangle vanishes);
@@ -66,7 +66,8 @@ def repair(
        flipped away;
     4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
        into triangles which lie on each other, as those that are not convex, are cut anew;
-    5. holes of up to `holes` edges are filled without new vertices, with the smallest area;
+    5. holes of up to `holes` edges are filled without new vertices, with the smallest area, and
+       triangles without area flipped away again;
     6. components that enclose no volume, single triangles and sheets, are dropped with their
        vertices if there are others; where surfaces touch in a vertex or an edge, each gets its
        own, moved apart by a thousandth of the triangles, so that no later merging joins them;
