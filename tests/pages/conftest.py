@@ -108,8 +108,8 @@ class Reader:
 
 @pytest.fixture(scope="session")
 def opened(seen, browser):
-    """Give a page that the tests which ask for it share, one after the other."""
-    one = Reader(browser, reduced_motion="reduce")
+    """Give a page on a phone that the tests which ask for it share, one after the other."""
+    one = Reader(browser, width=390, height=844, reduced_motion="reduce")
     one.open(seen)
     yield one
     one.context.close()

@@ -1,4 +1,4 @@
-"""Each page, opened once: all that belongs to it is there, and nothing bars a reader.
+"""Each page, opened once, on a phone: all is there, it fits, it moves, and nothing bars a reader.
 
 Readers with disabilities are spoken for by axe-core, https://github.com/dequelabs/axe-core.
 ``axe/axe.min.js`` is that of the npm package axe-core 4.10.3; its licence, MPL 2.0, is beside it.
@@ -50,8 +50,46 @@ def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, opened):
     assert missing == []
 
 
+def test_does_not_scroll_sideways_on_a_phone_and_cuts_nothing_without_a_sign(seen, opened):
+    tab = opened.tab
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    unsaid = tab.evaluate(
+        "() => [...document.querySelectorAll('main mjx-container[display=true], .esfem-table')]"
+        ".filter(box => box.clientWidth && box.scrollWidth > box.clientWidth + 2)"
+        ".filter(box => !box.dataset.hidden || box.tabIndex !== 0).map(box => box.textContent)"
+    )
+    assert unsaid == []
+    clipped = tab.evaluate(
+        "() => [...document.querySelectorAll('main span.math')].filter(m => m.clientWidth"
+        " && m.firstElementChild.getBoundingClientRect().width > m.clientWidth + 2"
+        " && getComputedStyle(m).overflowX !== 'auto').map(m => m.textContent)"
+    )
+    assert clipped == []
+
+
+def test_sliders_move_their_pictures(seen, opened):
+    for picture in opened.tab.locator(".esfem-animation").all():
+        picture.locator(".esfem-frame").scroll_into_view_if_needed()
+        picture.locator("canvas").first.wait_for()
+        slider, shown = picture.get_by_role("slider", name="time"), []
+        for key in ("End", "ArrowLeft", "Home"):
+            slider.press(key)
+            opened.tab.wait_for_timeout(500)
+            drawn = picture.locator(".esfem-stage").evaluate(
+                # a resting surface shows by its colours that something moved
+                "p => { const d = p._fullData[0];"
+                " return [d.x, d.intensity].map(a => Array.from(a.slice(0, 50))); }"
+            )
+            shown.append((slider.get_attribute("aria-valuetext"), drawn))
+            assert picture.locator("output").inner_text() == shown[-1][0]
+        assert len({label for label, _ in shown}) == 3
+        assert shown[0][1] != shown[2][1]
+    assert opened.trouble == []
+
+
 def test_nothing_serious_bars_a_reader_in_the_light_or_in_the_dark(seen, opened):
     tab = opened.tab  # of which not much is left in the end
+    tab.set_viewport_size({"width": 1280, "height": 900})
     tab.evaluate(EMPTY, "mjx-container" + ("" if seen in CODE_TOO else ", .highlight pre"))
     tab.add_script_tag(path=str(AXE))
     found = tab.evaluate(RUN, ["light", REST])
