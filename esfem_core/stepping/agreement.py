@@ -23,9 +23,13 @@ __all__ = [
 
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
 LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
-SINGLE = 1e-6  # likewise: single precision rounds by less
+SINGLE = 1e-6  # relative to the largest coordinate: single precision rounds by less
 OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
 NEW_TRIANGLES = "; new triangles know the initial surface by remeshed(states, h, problem)"
+NOT_ON_IT = (
+    "; SurfaceSpace(tri, degree, project) puts nodes on a surface, and new triangles know the "
+    "initial one by remeshed(states, h, problem)"
+)
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
 
 
@@ -44,7 +48,9 @@ def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
             "goes into laws.Prescribed(velocity=v)"
         ) from error
     node, distance = _farthest(x, space.nodes, space.nodes)
-    if AT_START < distance < SINGLE and np.array_equal(x, x.astype(np.float32)):
+    rounding = SINGLE * np.abs(space.nodes).max()
+    is_single = np.abs(x - space.nodes).max() < rounding and np.array_equal(x, x.astype(np.float32))
+    if distance > AT_START and is_single:
         raise ValueError(
             f"motion must start on the surface, X(p, 0) = p, but is off by {distance:.1g} of its "
             "size, by the rounding of single precision: compute it in double"
@@ -67,11 +73,11 @@ def check_precision(law: object, first: State) -> None:
     if not isinstance(law, Prescribed) or law.field is None:
         return
     with np.errstate(all="ignore"):  # what is not finite is refused when it is integrated
-        kind = np.asarray(law.field(first.x.copy(), first.t)).dtype
-    if kind in (np.float16, np.float32):
+        v = np.asarray(law.field(first.x.copy(), first.t))
+    if v.dtype in (np.float16, np.float32) and v.ndim == 2 and np.ptp(v, axis=0).any():
         raise TypeError(
-            f"velocity(x, t) must be in double precision, got {kind}: as its flow is integrated to "
-            "1e-12, the rounding of single precision makes it a field that is not smooth"
+            f"velocity(x, t) must be in double precision, got {v.dtype}: as its flow is integrated "
+            "to 1e-12, the rounding of single precision makes it a field that is not smooth"
         )
 
 
@@ -146,7 +152,7 @@ def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:
     if not distance <= LATER:
         raise ValueError(
             "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
-            f"{x[node].tolist()} for the node p = {nodes[node].tolist()}{NEW_TRIANGLES}"
+            f"{x[node].tolist()} for the node p = {nodes[node].tolist()}{NOT_ON_IT}"
         )
     if exact.closest is not None:
         y = finite_array("exact.closest", exact.closest(nodes.copy(), 0.0), nodes.shape)
@@ -156,7 +162,7 @@ def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:
             raise ValueError(
                 f"exact must belong to this surface, but the node {nodes[node].tolist()} has a "
                 f"distance of {off[node]:.3g} from the exact surface at t = 0, with triangles of "
-                f"h = {h:.3g}{NEW_TRIANGLES}"
+                f"h = {h:.3g}{NOT_ON_IT}"
             )
 
 

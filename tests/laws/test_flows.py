@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from manufactured import FLOW, MovingSurface, numeric, torus_space
 
 import esfem_core as ec
@@ -181,11 +182,15 @@ def test_single_precision_is_named_before_a_step():
     turning = ec.laws.Prescribed(velocity=lambda x, t: np.cross([0, 0, 1], x).astype("float32"))
     with pytest.raises(TypeError, match=r"velocity\(x, t\) must be in double .*, got float32: as"):
         ec.evolve(space, ec.Problem(law=turning), 1, 0.1, 0.1)
-    growing = ec.Problem(motion=lambda p, t: ((1 + t) * p).astype("float32"))
-    with pytest.raises(
-        ValueError, match=r"motion must .* off by 4e-08 of its size, by the rounding"
-    ):
-        ec.evolve(space, growing, 1, 0.1, 0.1)
+    drifting = ec.laws.Prescribed(velocity=lambda x, t: np.ones(x.shape, "float32"))
+    *_, last = ec.evolve(space, ec.Problem(species={}, law=drifting), 1, 0.1, 0.1)
+    assert np.abs(last.x - space.nodes - 0.1).max() < 1e-15
+    tri, away = ec.sphere("octahedron", 1), [100, 0, 0]
+    far = ec.SurfaceSpace(trimesh.Trimesh(tri.vertices + away, tri.faces, process=False))
+    for on in (space, far):
+        growing = ec.Problem(motion=lambda p, t: ((1 + t) * p).astype("float32"))
+        with pytest.raises(ValueError, match=r"motion must .* of its size, by the rounding"):
+            ec.evolve(on, growing, 1, 0.1, 0.1)
 
 
 def test_a_motion_that_is_not_finite_stops_the_run():
