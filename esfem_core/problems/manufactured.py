@@ -379,9 +379,9 @@ def _check_smooth(
 def _check_one_smooth(w: Expressions, on: Array, t: float) -> None:
     found = find_break(lambda x: w.jet(x, t)[:3], on)
     if found is not None:
-        what = "its derivatives jump" if found.kink else "it jumps"
         raise ValueError(
-            f"{w.name} must be smooth, but at t = {t:.4g} {what} near {_point(found.point)}"
+            f"{w.name} must be smooth, but at t = {t:.4g} it jumps or has a kink near "
+            f"{_point(found)}"
         )
 
 

@@ -11,13 +11,12 @@ crosses one. Where w has a kink, Dw jumps.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from esfem_core.checks import Array
 
-__all__ = ["Break", "find_break", "walks"]
+__all__ = ["find_break", "walks"]
 
 STEP = 0.03  # length of a segment, relative to the distance from the origin
 STEPS = 20  # of a walk
@@ -27,13 +26,6 @@ JUMP = 0.01  # the least that counts, relative to the range of F on a walk
 ROUNDING = 1e-9  # what ranges over less, relative to F or absolutely, is a constant
 
 _Derivatives = Callable[[Array], tuple[Array, Array, Array]]
-
-
-class Break(NamedTuple):
-    """A point, (3,), near which a function jumps, or its first derivatives do."""
-
-    point: Array
-    kink: bool
 
 
 def walks(x: Array, correction: Callable[[Array], Array]) -> Array:
@@ -67,8 +59,8 @@ def walks(x: Array, correction: Callable[[Array], Array]) -> Array:
     return np.stack(found)
 
 
-def find_break(function: _Derivatives, path: Array) -> Break | None:
-    """Where a function jumps or has a kink, if a walk crosses that place.
+def find_break(function: _Derivatives, path: Array) -> Array | None:
+    """A point near which a function jumps or has a kink, if a walk crosses that place.
 
     Parameters
     ----------
@@ -79,7 +71,7 @@ def find_break(function: _Derivatives, path: Array) -> Break | None:
 
     Returns
     -------
-    Break or None
+    (3,) float array or None
 
     Examples
     --------
@@ -90,9 +82,8 @@ def find_break(function: _Derivatives, path: Array) -> Break | None:
     ...     up = (x[..., :1] > 0) * 1.0
     ...     slope = up[..., None] * [1, 0, 0]
     ...     return up * x[..., :1], slope, 0 * slope[..., None] * np.ones(3)
-    >>> found = find_break(ramp, path)
-    >>> found.kink, bool(abs(found.point[0]) < 1e-5)
-    (True, True)
+    >>> bool(abs(find_break(ramp, path)[0]) < 1e-5)
+    True
     """
     with np.errstate(all="ignore"):  # what is not finite is refused where it is used
         for order in (0, 1):
@@ -112,7 +103,8 @@ def find_break(function: _Derivatives, path: Array) -> Break | None:
                 first = ((left / least).max(axis=1) >= (right / least).max(axis=1))[:, None]
                 a, b = np.where(first, a, middle), np.where(first, middle, b)
             else:
-                return Break(a[0], order == 1)
+                found: Array = a[0]
+                return found
     return None
 
 

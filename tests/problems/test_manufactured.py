@@ -315,30 +315,30 @@ class TestRefused:
             ec.manufactured(UNIT, STILL)
 
 
-SWITCHES = {
-    "Piecewise((x1, x1 > 0), (0, True))": "at t = 0 its derivatives jump near",
-    "100 + Piecewise((1, x3 > 1/5), (0, True))": "at t = 0 it jumps near",
-    "atan2(x2, x1)": "at t = 0 it jumps near",
-    "asin(sin(3*x1))": "at t = 0 its derivatives jump near",
-    "atan(tan(3*x1))": "at t = 0 it jumps near",
-    "Piecewise((x1, x1 > 0), (x1 + t*x1, True))": "at t = 0.382 its derivatives jump near",
+SWITCHES = {  # and when they are crossed
+    "Piecewise((x1, x1 > 0), (0, True))": "0",
+    "100 + Piecewise((1, x3 > 1/5), (0, True))": "0",
+    "atan2(x2, x1)": "0",
+    "asin(sin(3*x1))": "0",
+    "atan(tan(3*x1))": "0",
+    "Piecewise((x1, x1 > 0), (x1 + t*x1, True))": "0.382",
 }
 
 
 @pytest.mark.parametrize("u", SWITCHES)
 def test_a_solution_with_a_jump_or_a_kink_is_refused(u):
     """Its derivatives, as a formula has them, do not know of it."""
-    with pytest.raises(ValueError, match=f"u must be smooth, but {SWITCHES[u]}"):
+    with pytest.raises(ValueError, match=f"u must be smooth, but at t = {SWITCHES[u]} it jumps or"):
         ec.manufactured(UNIT, STILL, u, prescribed=True)
 
 
 def test_a_motion_or_a_level_set_with_a_kink_is_refused():
     angle = "t*Piecewise((p3, p3 > 0), (0, True))"
     turned = [f"p1*cos({angle}) - p2*sin({angle})", f"p1*sin({angle}) + p2*cos({angle})", "p3"]
-    with pytest.raises(ValueError, match=r"motion must be smooth, but at t = 0\.382 its deriv"):
+    with pytest.raises(ValueError, match=r"motion must be smooth, but at t = 0\.382 it jumps"):
         ec.manufactured(UNIT, turned, prescribed=True)
     cap = "x1**2 + x2**2 + x3**2 - 1 + Piecewise((x3, x3 > 0), (0, True))"
-    with pytest.raises(ValueError, match=r"d must be smooth, but at t = 0 its derivatives jump"):
+    with pytest.raises(ValueError, match=r"d must be smooth, but at t = 0 it jumps or"):
         ec.manufactured(cap, STILL, prescribed=True)
 
 
