@@ -288,9 +288,10 @@ def _share_nodes(cells: Ints) -> bool:
 
 def _elements(source: Any) -> Elements:
     if isinstance(source, str | os.PathLike):
-        if re.match(r"\w+://", str(source)):
+        if re.match(r"\w\w+://", str(source)):  # one letter is a drive
             raise ValueError(
-                f"source must be the path of a file, got the address {source}: download it first"
+                f"source must be the path of a file, got the address {source}: download it first, "
+                "or give its path"
             )
         return _of_file(path_of("source", source, "a file"))
     name = type(source).__name__

@@ -23,7 +23,7 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     >>> counted_from_the_first(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3") is None
     True
     """
-    data = re.sub(rb"\\\r?\n", b"", data)
+    data = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", data))
     if re.search(rb"^\s*f\s.*-", data, re.MULTILINE) is None:
         return None
     lines, count = [], 0
@@ -33,8 +33,8 @@ def counted_from_the_first(data: bytes) -> bytes | None:
             count += 1
         elif words[:1] == [b"f"]:
             corners = [int(word.split(b"/")[0]) for word in words[1:]]
-            if min(corners, default=1) < -count:
-                raise ValueError(f"a face has corner {min(corners)}, but {count} vertices above it")
+            if wrong := [i for i in corners if i == 0 or i < -count]:
+                raise ValueError(f"a face has corner {wrong[0]}, but {count} vertices above it")
             words[1:] = [b"%d" % (i if i > 0 else count + 1 + i) for i in corners]
         lines.append(b" ".join(words))
     return b"\n".join(lines)
@@ -66,7 +66,8 @@ def points_and_polygons(text: str) -> tuple[Array, list[Ints]]:
     count = sum(map(len, polygons.values()))
     if len(points) < n or count < m:
         raise ValueError(
-            f"it was cut off: of {n} points it has {len(points)}, and of {m} polygons {count}"
+            "it was cut off, or has not each point and polygon in a line of its own: of "
+            f"{n} points it has {len(points)}, and of {m} polygons {count}"
         )
     cells = [np.array(polygons[k], dtype=np.int64) for k in sorted(polygons) if k > 2]
     return np.array(points, dtype=float).reshape(-1, 3), cells
