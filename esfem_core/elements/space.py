@@ -193,8 +193,8 @@ class SurfaceSpace:
         ------
         TypeError, ValueError
             If an array has the wrong shape or type, a node belongs to no element or has
-            coordinates beyond 1e75, the corners of the elements are no fit triangulation, or
-            neighbours do not share the nodes on their edge.
+            coordinates beyond 1e75, all are less than 1e-70 across, the corners of the elements are
+            no fit triangulation, or neighbours do not share the nodes on their edge.
 
         Examples
         --------

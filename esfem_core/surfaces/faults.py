@@ -301,7 +301,9 @@ def _of_seams(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
         f"place, but are open ({len(seam) // 2} such pairs)"
     )
     if (sides_of(joined(vertices, faces)[0]).times > 2).any():
-        return Fault(text, "remove one of the sheets: joined, they would lie on each other")
+        return Fault(
+            text, "remove one of the sheets: joined, more than two triangles would meet in an edge"
+        )
     return Fault(
         text,
         "tri = ec.read_mesh(tri) makes one of their vertices; the two sides of a slit must lie "

@@ -158,7 +158,7 @@ def _first_mesh(d: Field, low: Array, high: Array, h: float, gradient: Field) ->
     axes = [np.linspace(a, b, 2 * n + 1) for a, b, n in zip(low, high, cells, strict=True)]
     spacing = (high - low) / (2 * cells)
     values = _sample(d, axes)
-    _check_signs(values, axes, d, gradient)
+    _check_samples(values, axes, d, gradient)
     coarse = values[::2, ::2, ::2]
     if not (coarse <= 0).any():
         raise ValueError(
@@ -187,7 +187,7 @@ def _sample(d: Field, axes: list[Array]) -> Array:
     return values
 
 
-def _check_signs(values: Array, axes: list[Array], d: Field, gradient: Field) -> None:
+def _check_samples(values: Array, axes: list[Array], d: Field, gradient: Field) -> None:
     nearest = np.unravel_index(int(np.argmin(np.abs(values))), values.shape)
     start = np.array([[a[i] for a, i in zip(axes, nearest, strict=True)]])
     _check_leaves_points("d", d, start)

@@ -147,15 +147,15 @@ def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
         ...
     ValueError: tri must have coordinates up to 1e+75, but point 0 is [1e+80, 0.0, 0.0]; give...
     """
-    far = (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1)
-    used = np.intersect1d(np.flatnonzero(far), faces)
-    if len(used):
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)]] = True
+    far = np.flatnonzero(used & (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1))
+    if len(far):
         raise ValueError(
-            f"{name} must have coordinates up to {FARTHEST:g}, but point {used[0]} is "
-            f"{vertices[used[0]].tolist()}; give lengths in a larger unit"
+            f"{name} must have coordinates up to {FARTHEST:g}, but point {far[0]} is "
+            f"{vertices[far[0]].tolist()}; give lengths in a larger unit"
         )
-    used = np.unique(faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)])
-    points = vertices[used][np.isfinite(vertices[used]).all(axis=1)]
+    points = vertices[used & np.isfinite(vertices).all(axis=1)]
     size = np.ptp(points, axis=0).max() if len(points) else 0.0
     if 0 < size < SMALLEST:
         raise ValueError(
@@ -425,7 +425,7 @@ def _split(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
     if len(first) == len(vertices):
         return vertices, faces
     parted = own.reshape(faces.shape)
-    if _is_closed(parted) and (flat := _flat(shells(vertices[at], parted), steps)).any():
+    if _is_closed(parted) and (flat := _without_volume(shells(vertices[at], parted), steps)).any():
         # They go before anything moves: a body that only they touch stays where it is.
         return _split(*without_unused(vertices, faces[~flat], []), steps)
     order = np.argsort(at, kind="stable")
@@ -483,7 +483,7 @@ def _is_closed(faces: Ints) -> bool:
     return bool((sides.times == 2).all() and (sides.start[one] != sides.start[other]).all())
 
 
-def _flat(found: Shells, steps: list[str]) -> Bools:
+def _without_volume(found: Shells, steps: list[str]) -> Bools:
     """Triangles to drop, (T,): of components without volume, if there are others."""
     if found.flat.all():
         return np.zeros(len(found.label), dtype=bool)
@@ -493,11 +493,11 @@ def _flat(found: Shells, steps: list[str]) -> Bools:
 
 
 def _turn(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
-    """Step 7."""
+    """Step 7, and 6 where nothing touches."""
     if not _is_closed(faces):
         return faces
     found = shells(vertices, faces)
-    if (flat := _flat(found, steps)).any():
+    if (flat := _without_volume(found, steps)).any():
         faces = faces[~flat]
         found = shells(vertices, faces)
     wrong = found.wrong() & ~found.flat
