@@ -22,6 +22,7 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
 BOOK = Path(__file__).parents[1] / "book"
+USUAL = "4 / 5"
 FACTORS = {"--coarser": "2", "--finer": "1 / 2"}
 DIFFERS = re.compile("^differs from the book", re.M)
 
@@ -36,7 +37,7 @@ def chapters(numbers: list[str]) -> list[Path]:
     return [path for paths in found.values() for path in paths]
 
 
-def changed(source: str, factor: str = "4 / 5") -> tuple[str, list[str]]:
+def changed(source: str, factor: str = USUAL) -> tuple[str, list[str]]:
     r"""Change DEGREE and STEP in the source of a cell, and return what stands there now.
 
     Examples
@@ -58,7 +59,7 @@ def changed(source: str, factor: str = "4 / 5") -> tuple[str, list[str]]:
     return "\n".join(lines), found
 
 
-def run(path: Path, factor: str = "4 / 5") -> tuple[list[str], int]:
+def run(path: Path, factor: str = USUAL) -> tuple[list[str], int]:
     """Execute a chapter; return what was changed, and how many of its statements then differ."""
     notebook = nbformat.read(path, as_version=4)
     changes: list[str] = []
@@ -76,7 +77,7 @@ def run(path: Path, factor: str = "4 / 5") -> tuple[list[str], int]:
 
 def main(arguments: list[str]) -> int:
     """Run them and say what happened; return how many did not come to their end."""
-    factor = next((FACTORS[a] for a in arguments if a in FACTORS), "4 / 5")
+    factor = next((FACTORS[a] for a in arguments if a in FACTORS), USUAL)
     failed = 0
     for path in chapters([a for a in arguments if a not in FACTORS]):
         began = time.perf_counter()
