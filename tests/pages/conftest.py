@@ -110,7 +110,8 @@ class Reader:
 def opened(seen, browser):
     """Give a page on a phone that the tests which ask for it share, one after the other."""
     one = Reader(browser, width=390, height=844, reduced_motion="reduce")
-    one.open(seen)
+    one.open(seen).wait_for_load_state("networkidle")
+    one.tab.wait_for_timeout(100)  # what is wider than its place is marked a little later
     yield one
     one.context.close()
 

@@ -38,7 +38,6 @@ REST = {"rules": {"color-contrast": {"enabled": False}}}
 
 def test_opens_without_an_error_and_with_all_that_belongs_to_it(seen, opened):
     tab = opened.tab
-    tab.wait_for_load_state("networkidle")
     assert opened.trouble == []
     formulas = tab.locator(".math").count()
     assert tab.locator("main mjx-container").count() >= formulas
