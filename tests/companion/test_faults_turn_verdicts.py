@@ -35,6 +35,13 @@ FAULTS = [
     ),
     # 11/r² is not the eigenvalue of x1 x2 x3
     ("01", "N-7.3-f", "5 * dr / rt + da / at + 12 / rt**2", "5 * dr / rt + da / at + 11 / rt**2"),
+    # the function that is carried along is taken for the fixed one
+    (
+        "01",
+        "N-2.7-test",
+        'defects = [defect("carried"), defect("fixed")]',
+        'defects = [defect("carried"), defect("carried")]',
+    ),
     # midpoints are not projected
     (
         "02",
@@ -140,6 +147,13 @@ FAULTS = [
     ),
     # the printed exponent, in the corrected form
     ("05", "LMV-3.2-delta", "np.polyval(d[::-1], z)", "np.polyval(d, z)"),
+    # the real parts of another polynomial, for p = 1 and 2 as well
+    (
+        "05",
+        "N-L4.2-eta",
+        "    real = real_part(p, 0.0, angles)",
+        "    real = real_part(p + 2, 0.0, angles)",
+    ),
     # singular values squared in the place of eigenvalues
     (
         "05",
@@ -230,6 +244,13 @@ FAULTS = [
         "N-4.2-error",
         "rest = -(At_star - A) @ e_u[n] - (At - At_star) @ run[n].u - d.u",
         "rest = -(At_star - A) @ e_u[n] - d.u",
+    ),
+    # the later step is still one of the first
+    (
+        "08",
+        "N-L6.1-first",
+        "for n in (q, 2 * q - 1, 2 * q)]",
+        "for n in (q, 2 * q - 1, 2 * q - 1)]",
     ),
     # a dual norm without the gradient
     ("08", "LMV-T5.1-dualnorm", "K, H1 = M + alpha * A, M + A", "K, H1 = M + alpha * A, M"),
