@@ -358,6 +358,7 @@ def _quiet(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
 @pytest.mark.parametrize(("chapter", "name", "old", "fault"), FAULTS, ids=[f[1] for f in FAULTS])
 def test_a_fault_turns_the_verdict(chapter, name, old, fault):
     with pytest.raises(AssertionError, match=rf"claim {name} (fails|holds) .*:\n"):

@@ -77,7 +77,10 @@ def problem(case):
 COARSE = torus_space(2, 10, 4)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [case if case == "all of it" else pytest.param(case, marks=pytest.mark.slow) for case in CASES],
+)
 def test_bdf_has_its_order_in_time(case):
     """Against a fine run on the same mesh, whose states also start the runs.
 
