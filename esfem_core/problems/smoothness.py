@@ -2,12 +2,12 @@
 
 Derivatives of a formula do not show where it switches: those of atan2 are smooth where it jumps by
 2 pi, and the second ones of a kink lack what stands there. So differences along short segments s
-are compared with derivatives,
+are compared with derivatives, ::
 
     e = |F(x + s) - F(x) - s . (DF(x) + DF(x + s))/2|  for F = w and F = Dw,
 
-which is O(|s|^3) where F is smooth, and stays near the jump of F, however short s is, where that
-crosses one. Where w has a kink, Dw jumps.
+which is of third order in s where F is smooth, and stays near the jump of F, however short s is,
+where that crosses one. Where w has a kink, Dw jumps.
 """
 
 from collections.abc import Callable
