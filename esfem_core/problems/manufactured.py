@@ -267,9 +267,10 @@ def manufactured(
     path = Motion(motion)
     D = number("diffusivity", diffusivity, least=0)
     until, prescribed = number("until", until, above=0), flag("prescribed", prescribed)
-    _check(level, path, until)
+    p = _found(level)
+    _check(level, path, p, until)
     exact_u = None if u is None else Expressions("u", u, POSITIONS, 1)
-    _check_smooth(level, path, exact_u, until)
+    _check_smooth(level, path, exact_u, p, until)
 
     def u_of(x: Array, t: float) -> Array:
         assert exact_u is not None
@@ -326,9 +327,8 @@ def _forced(
     return Regularised(alpha, beta, force)
 
 
-def _check(level: Expressions, path: Motion, until: float) -> None:
+def _check(level: Expressions, path: Motion, p: Array, until: float) -> None:
     """Points stay where they are at t = 0, and later on the surface, on the same side of others."""
-    p = _found(level)
     scale = float(np.abs(p).max())
     moved = np.abs(path.position.values(p, 0.0) - p).max(axis=-1)
     worst = int(np.argmax(np.where(np.isfinite(moved), moved, np.inf)))
@@ -362,10 +362,9 @@ def _check(level: Expressions, path: Motion, until: float) -> None:
 
 
 def _check_smooth(
-    level: Expressions, path: Motion, exact_u: Expressions | None, until: float
+    level: Expressions, path: Motion, exact_u: Expressions | None, p: Array, until: float
 ) -> None:
     """No jumps and no kinks on the surface, of which the right-hand sides would know nothing."""
-    p = _found(level)
     origins = walks(p, partial(_newton_step, level, 0.0))
     for t in until * TIMES[::2]:
         x = path.position.values(p, t)

@@ -17,10 +17,10 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
 
     Checked in this order: finite vertices up to 1e75, 1e-70 or more across, each in some triangle;
     triangles with three different corners and an area; every edge in two triangles; neighbours
-    oriented alike;
-    triangles around a vertex forming one fan, so that V - E + F = 2 (components - handles); each
-    component enclosing a volume, at a place of its own, oriented outwards, or inwards where it is
-    a cavity, that is, inside an odd number of others; no triangle lying on its neighbour.
+    oriented alike; triangles around a vertex forming one fan, so that V - E + F = 2 (components -
+    handles); each component enclosing a volume, at a place of its own, oriented outwards, or
+    inwards where it is a cavity, that is, inside an odd number of others; no triangle lying on its
+    neighbour.
 
     Parameters
     ----------
