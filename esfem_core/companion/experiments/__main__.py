@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -11,7 +12,7 @@ from typing import Any
 from esfem_core.checks import whole_number
 from esfem_core.companion import campaign
 from esfem_core.companion.experiments import EXPERIMENTS
-from esfem_core.study import outcomes
+from esfem_core.study import Experiment, outcomes
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -33,8 +34,7 @@ def _run(options: argparse.Namespace) -> int:
         for o in coming:
             if o.error:
                 failures += 1
-                name = f"{o.experiment.name} {json.dumps(o.parameters)}"
-                bar.write(f"{name}: {type(o.error).__name__}: {o.error}")
+                bar.write(_failed(_called(o.experiment, o.parameters), o.error))
             found += o.found
             bar.set_description(o.experiment.name)
             bar.update(o.cases)
@@ -52,16 +52,24 @@ def _renew(options: argparse.Namespace) -> int:
         for experiment, old, outcome in campaign.renew(
             options.experiments, options.folder, options.jobs
         ):
-            name = f"{experiment.name} {json.dumps(old.parameters)}"
+            name = _called(experiment, old.parameters)
             if isinstance(outcome, Exception):
                 failures += 1
-                bar.write(f"{name}: {type(outcome).__name__}: {outcome}")
+                bar.write(_failed(name, outcome))
             else:
                 for where, before, after in campaign.changes(old.results, outcome.results):
                     bar.write(f"{name}: {where} was {before}, is {after}")
             bar.set_description(experiment.name)
             bar.update()
     return min(failures, 1)
+
+
+def _called(experiment: Experiment, parameters: Mapping[str, Any]) -> str:
+    return f"{experiment.name} {json.dumps(parameters)}"
+
+
+def _failed(name: str, error: Exception) -> str:
+    return f"{name}: {type(error).__name__}: {error}"
 
 
 def _progress(total: int) -> Any:
