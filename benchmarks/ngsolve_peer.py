@@ -1,4 +1,4 @@
-"""The same discretisation in NGSolve: the same mesh and degree, moved by a deformation.
+"""The same discretization in NGSolve: the same mesh and degree, moved by a deformation.
 
 NGSolve's basis is hierarchical (vertex functions and bubbles), ours nodal; both span the same
 space, and :class:`Peer` converts between nodal values and NGSolve's coefficients. ``run.py``

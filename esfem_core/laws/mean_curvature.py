@@ -16,7 +16,7 @@ parabolic,
     \partial^\bullet \nu &= \beta \Delta_\Gamma \nu + \beta |A|^2 \nu - \nabla_\Gamma g, \\
     \partial^\bullet H &= \beta \Delta_\Gamma H + \beta |A|^2 H - \Delta_\Gamma g - |A|^2 g,
 
-which B. Kovács, B. Li, C. Lubich discretise (Numer. Math. 143, 2019, for g = 0; Interfaces Free
+which B. Kovács, B. Li, C. Lubich discretize (Numer. Math. 143, 2019, for g = 0; Interfaces Free
 Bound. 22, 2020, for g = g(u)), with optimal order in H1 for k >= 2 and 2 <= p <= 5. Here v is
 the nodal product (g - beta H) nu of the evolved functions, and ``|A|^2`` is
 ``|grad nu|^2/|nu|^2``.

@@ -30,7 +30,7 @@ radius of a sphere of its area, and P the projections to the tangent planes at t
     w = -\varrho\, P B P f, \qquad B = s\, (M + s A)^{-1}, \qquad
     \frac{\mathrm dE}{\mathrm dt} = -\varrho\, (P f)^T B\, (P f) \le 0.
 
-B makes w smooth and slow, so that it may be explicit: all wave lengths relax with rates of about
+B makes w smooth and slow, so that it may be explicit: all wavelengths relax with rates of about
 :math:`\varrho` to :math:`(1 + a) \varrho`.
 """
 

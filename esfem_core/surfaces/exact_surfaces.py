@@ -178,7 +178,7 @@ class Ellipsoid(ExactSurface):
     Parameters
     ----------
     axes : (float, float, float)
-        Half axes c_i > 0 of {sum_i (y_i/c_i)^2 = 1}.
+        Semi-axes c_i > 0 of {sum_i (y_i/c_i)^2 = 1}.
 
     Raises
     ------

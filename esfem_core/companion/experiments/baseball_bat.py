@@ -234,7 +234,7 @@ def _mass(
 def time_errors(
     refinements: int, order: int, steps: Sequence[float], begin: float = 0.0
 ) -> dict[str, Any]:
-    """Errors of time discretisation on one mesh, against BDF5 with steps of 1/1280.
+    """Errors of time discretization on one mesh, against BDF5 with steps of 1/1280.
 
     Its states from the time `begin` on are also the starting values.
 

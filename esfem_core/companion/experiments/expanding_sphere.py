@@ -165,7 +165,7 @@ def time_errors(
     fine: float,
     runs: Sequence[tuple[int, Sequence[float]]],
 ) -> dict[str, list[float]]:
-    """Errors of time discretisation alone: distances at T = 1 from a run with p = 5.
+    """Errors of time discretization alone: distances at T = 1 from a run with p = 5.
 
     All runs start with states of that run, and all linear systems are solved directly.
 
