@@ -288,6 +288,13 @@ FAULTS = [
         "integral = fourier.mean() * 2 * np.pi",
         "integral = fourier.mean() * np.pi",
     ),
+    # the gradient is forgotten in the norm that is put right
+    (
+        "09",
+        "N-4.21-rest",
+        "return top / np.sqrt([square(M, e), square(M + A, e)])",
+        "return top / np.sqrt([square(M, e), square(M, e)])",
+    ),
     # a power of τ too many
     (
         "09",
