@@ -108,7 +108,8 @@ def pcg(
     b : (m, N) float array
         Right-hand sides.
     x : (m, N) float array
-        First guesses; what is found is written over them.
+        First guesses; one with a larger residual than zero is not used. What is found is written
+        over them.
     precondition : callable
         From residuals as columns, (N, m), to approximate solutions with them.
     allowed : Tolerance
@@ -135,6 +136,11 @@ def pcg(
     (5, True)
     """
     r = b - times_rows(A, x)  # step 1
+    # A guess that is worse than none: if it is much larger than the solution, its rounding errors
+    # stay in x, and the residual r of step 5, which is not computed anew, does not know of them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        worse = ~(np.vecdot(r, r) <= np.vecdot(b, b))  # also if it is not finite
+    x[worse], r[worse] = 0.0, b[worse]
     start = end = allowed.excess(r, x)
     # With p = 0, steps 6 to 8 of the first round set z = M^{-1} r and p = z, as step 1 does.
     p, rz_old = np.zeros_like(r), np.ones(len(r))

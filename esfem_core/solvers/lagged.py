@@ -115,7 +115,8 @@ class LaggedSolver:
             squares = np.vecdot(rows, rows)
         if not np.isfinite(squares).all():
             raise FloatingPointError(
-                "b must be finite, but the right-hand side of a linear system is not finite"
+                "b must be finite and below 1e150, but the right-hand side of a linear system has "
+                f"entries of {np.abs(rows).max():.3g}"
             )
         x = np.array(real_array("guess", guess, b.shape).reshape(len(b), -1).T, order="C")
         x[squares == 0] = 0.0
@@ -133,7 +134,6 @@ class LaggedSolver:
             self._factor = factorise(A)
             self._ageing = Ageing(self.price)
             self.factorisations += 1
-            x[~np.isfinite(x)] = 0.0
             x, converged = self._iterate(self._factor, A, rows, x, allowed)
         if not converged:
             raise np.linalg.LinAlgError(

@@ -99,13 +99,21 @@ def test_gives_up_after_the_iterations_allowed():
     assert found.end > 1
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_gives_up_at_once_when_a_guess_is_not_finite(bad):
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300, 1e8])
+def test_a_guess_that_is_worse_than_none_is_not_used(bad):
     A, b = spd(), right_hand_sides()
     x = np.zeros_like(b)
     x[0, 0] = bad
+    found, expected = solve(A, b, x), solve(A, b)
+    assert found.iterations == expected.iterations
+    np.testing.assert_array_equal(found.x, expected.x)
+
+
+def test_gives_up_at_once_when_a_residual_is_not_finite():
+    A, b = spd(), right_hand_sides()
+    b[0, 0] = np.nan
     with np.errstate(invalid="ignore"):
-        found = solve(A, b, x)
+        found = solve(A, b)
     assert (found.iterations, found.converged) == (0, False)
 
 

@@ -111,6 +111,17 @@ def test_zero_columns_and_bad_guesses():
     assert abs(x[:, 1]).max() == 0
 
 
+@pytest.mark.parametrize("factorise", [superlu, fronts])
+def test_the_residual_is_true_after_a_guess_much_larger_than_the_solution(factorise):
+    """Its rounding errors would stay in the solution, unseen in the updated residual."""
+    rng = np.random.default_rng(0)
+    solver = LaggedSolver(factorise=factorise)
+    for n, size in enumerate((1.0, 1e4, 1e8, 1e12, 1e300)):
+        A, b = system(1 + 0.02 * n), rng.standard_normal(len(SPACE.nodes))
+        x = solver.solve(A, b, size * rng.standard_normal(len(b)))
+        assert relative_residual(A, x, b) <= solver.rtol
+
+
 def test_sums_are_exact():
     """What conserves mass: 1'(b - A x) = 0."""
     rng = np.random.default_rng(0)
