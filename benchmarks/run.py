@@ -10,7 +10,6 @@ DOLFINx (Debian: python3-dolfinx) and Numba are compared with, too, where they a
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ import ngsolve_peer
 import numpy as np
 import shapes
 import textbook
+from one_size import page_faults, run, sphere
 from timing import in_turn, machine, seconds, summary
 
 import esfem_core as ec
@@ -35,11 +35,6 @@ from esfem_core.solvers import LaggedSolver, cholmod, factorise, superlu, times,
 from esfem_core.study import final
 
 RESULTS = Path("esfem_core/companion/data/performance.json")
-
-
-def sphere(refinements, degree=2):
-    """Aligned sphere with 4^(refinements + 2) + 2 nodes (degree 2)."""
-    return ec.SurfaceSpace(ec.sphere("octahedron", refinements), degree, ec.to_unit_sphere)
 
 
 def radius(t):
@@ -129,11 +124,6 @@ def assembly_compiled(repeats=25):
     return rows
 
 
-def page_faults():
-    """Pages of memory that the system has given to this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-
-
 def cores(threads=2, blocks=20, length=5):
     """A step on one thread and on several, two runs in turn, which must have the same bits."""
     rows = []
@@ -198,14 +188,6 @@ def step(solver, peer_solver, blocks=10, length=5):
     return rows
 
 
-def run(states, n):
-    """Seconds for n steps."""
-    start = time.perf_counter()
-    for _ in range(n):
-        next(states)
-    return time.perf_counter() - start
-
-
 def implicit_euler(steps=200, blocks=10):
     """Implicit Euler steps as in [LMV], on 4,098 linear nodes of their ellipsoid."""
     space = sphere(5, degree=1)
@@ -229,34 +211,11 @@ def scaling():
     """Seconds per step and peak memory, each size in a process of its own."""
     rows = []
     for refinements in (4, 5, 6, 7, 8):
-        code = f"import run; run.one_size({refinements})"
-        out = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd="benchmarks",
-        )
+        command = [sys.executable, "benchmarks/one_size.py", str(refinements)]
+        out = subprocess.run(command, capture_output=True, text=True, check=True)
         rows.append(json.loads(out.stdout))
         print(rows[-1], flush=True)
     return rows
-
-
-def one_size(refinements, steps=24):
-    """Print seconds per step, for set-up and for the first step, and peak memory as JSON."""
-    start = time.perf_counter()
-    space, problem = sphere(refinements), ec.problems.expanding_sphere()
-    states = ec.evolve(space, problem, 3, 1e-3, (steps + 8) * 1e-3, mass="extrapolated")
-    setup = time.perf_counter() - start
-    first = run(states, 4)  # three starting states and a step
-    run(states, 4)
-    before = page_faults()
-    times = [run(states, 1) for _ in range(steps)]
-    faults = (page_faults() - before) / steps
-    status = Path("/proc/self/status").read_text()  # of this process alone, unlike getrusage
-    peak = int(status.split("VmHWM:")[1].split()[0]) / 2**20
-    row = {"nodes": len(space.nodes), "seconds": float(np.median(times)), "peak_gib": peak}
-    print(json.dumps(row | {"setup": setup, "first": first, "faults": faults}))
 
 
 def factorisations(repeats=9):

@@ -66,8 +66,8 @@ class Regularised(Law):
         One (N, N) matrix serves the three components. Solving for v and not for x avoids the
         division of x's rounding errors by tau.
         """
-        K = at.matrix(1.0, self.alpha + self.beta * tau)
-        return solve(K, self._right_hand_side(at, past))
+        b = self._right_hand_side(at, past)  # before K, while there is more memory for it
+        return solve(at.matrix(1.0, self.alpha + self.beta * tau), b)
 
     def _right_hand_side(self, at: Surface, past: Array) -> Array:
         """Load vector g + beta A past, (N, 3)."""
