@@ -265,6 +265,8 @@ FAULTS = [
     ),
     # the weight of the paper, in the corrected form
     ("09", "LMV-L4.1-weight", "left_over((1 - etas) / 8)", "left_over((1 - etas) / 4)"),
+    # half of the first energy, in the corrected form
+    ("09", "LMV-L4.1-energy", "for first in (0, energies[0])", "for first in (0, energies[0] / 2)"),
     # a method that is not zero-stable
     (
         "09",
