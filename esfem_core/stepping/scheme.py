@@ -329,7 +329,10 @@ def _called(name: str, part: Part) -> str:
 
 
 def _not_turned(at: Surface, previous: Array | None) -> Array:
-    """Return the normals, unless some element has turned over since the previous step."""
+    """Return the normals, unless some element has turned over since the previous step.
+
+    They are kept for a step, in single precision: on large meshes that is memory at its peak.
+    """
     if previous is not None:
         turned = np.einsum("tqi,tqi->tq", at.normal, previous) <= 0
         if turned.any():
@@ -339,7 +342,7 @@ def _not_turned(at: Surface, previous: Array | None) -> Array:
                 "angle within a step",
                 element,
             )
-    return at.normal
+    return at.normal.astype(np.float32)
 
 
 @contextmanager
