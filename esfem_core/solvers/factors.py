@@ -209,7 +209,7 @@ class DirectSolver:
         ValueError
             If `A` is not square, or `b` does not fit it.
         numpy.linalg.LinAlgError
-            If the matrix is singular, or not symmetric and positive definite and the residual of
+            If the matrix is singular, or not symmetric and positive definite, and the residual of
             the answer shows it.
         FloatingPointError
             If `b` is not finite.

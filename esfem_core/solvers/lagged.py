@@ -16,7 +16,8 @@ from esfem_core.checks import Array, function, number, real_array, whole_number
 from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
-from esfem_core.solvers.systems import right_hand_side, square
+from esfem_core.solvers.products import times_rows
+from esfem_core.solvers.systems import LEFT, check_is_solved, right_hand_side, square
 
 __all__ = ["LaggedSolver"]
 
@@ -105,7 +106,8 @@ class LaggedSolver:
             If `A` is not square, or `b` or `guess` does not fit it.
         numpy.linalg.LinAlgError
             If `A` is not finite, or the residual asked for is not reached with a factorisation of
-            `A` itself, at last with that by SuperLU.
+            `A` itself, at last with that by SuperLU; or if rounding level is so high, since `A` is
+            singular, that it leaves `b` nearly as large as it was.
         FloatingPointError
             If the norm of a right-hand side is not finite.
         """
@@ -141,6 +143,7 @@ class LaggedSolver:
                 "iterations with a new factorisation, the last one by SuperLU: A must be symmetric "
                 "and positive definite, but is not, or is so in more digits than there are"
             )
+        _check_rounding(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)
 
     def _iterate(
@@ -158,3 +161,17 @@ class LaggedSolver:
             f"LaggedSolver(rtol={self.rtol:g}, price={self.price}, iterations={self.iterations}, "
             f"factorisations={self.factorisations}, factor={self._factor})"
         )
+
+
+def _check_rounding(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> None:
+    """Refuse rows of x that are accepted for their rounding level only, but solve nothing."""
+    # A sum over N entries is at most sqrt(N) times as large as the Euclidean norm: where rounding
+    # is far from b, as in almost all runs, no product with A is needed to know it.
+    with np.errstate(over="ignore"):
+        level = allowed.rounding * np.sqrt(b.shape[1]) * np.linalg.norm(x, axis=1)
+    rounded = level > LEFT * np.linalg.norm(b, axis=1)
+    if rounded.any():
+        b = b[rounded]
+        r = b - times_rows(A, x[rounded])
+        loose = np.linalg.norm(r, axis=1) > np.sqrt(allowed.squares[rounded])
+        check_is_solved(b[loose].T, r[loose].T)

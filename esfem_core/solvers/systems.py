@@ -6,9 +6,11 @@ from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, real_array
 
-__all__ = ["check_residual", "right_hand_side", "square"]
+__all__ = ["check_is_solved", "check_residual", "right_hand_side", "square"]
 
 RESIDUAL = 1e-9  # relative to what rounding is relative to; a good factorisation gives 1e-15
+LEFT = 0.1  # share of b that a residual leaves where x has not one right digit
+NOISE = 1e-12  # sum of a residual where b may be zero but for rounding: that is in no range
 
 
 def square(A: csr_array) -> int:
@@ -65,14 +67,14 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
 
     ``max|b - A x|`` is compared with ``|A| max|x| + max|b|``, where ``|A|`` is the largest sum of
     absolute values in a row: stable factorisations bring this quotient to 1e-15, also where A is
-    ill-conditioned.
+    ill-conditioned. Where A is singular it is no larger, since x is; see :func:`check_is_solved`.
 
     Raises
     ------
     FloatingPointError
         If b is not finite.
     numpy.linalg.LinAlgError
-        If the quotient is above 1e-9.
+        If the quotient is above 1e-9, or the residual leaves b nearly as large as it was.
 
     Examples
     --------
@@ -88,11 +90,53 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
     with np.errstate(all="ignore"):
         sizes = np.add.reduceat(np.abs(A.data), A.indptr[:-1]) if A.nnz else np.zeros(1)
         allowed = sizes.max(initial=0.0) * np.abs(x).max(initial=0.0) + np.abs(b).max(initial=0.0)
-        found = np.abs(b - A @ x).max(initial=0.0)
+        r = b - A @ x
+        found = np.abs(r).max(initial=0.0)
         share = found / allowed if found else 0.0
     if not share <= RESIDUAL:
         raise np.linalg.LinAlgError(
             f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A "
             "must be symmetric and positive definite, but is not, or is so in more digits than "
             "there are"
+        )
+    check_is_solved(b, r)
+
+
+def check_is_solved(b: Array, r: Array) -> None:
+    """Refuse residuals that leave right-hand sides nearly as large as they were.
+
+    If A is singular and b not in its range, x becomes so large that any residual is one of
+    rounding: relative to |A| |x| it is small. Sums over all entries are compared, since a needle
+    of an element makes a few entries of A large and the residual there, but costs x no digit.
+
+    Parameters
+    ----------
+    b, r : (N,) or (N, m) float arrays
+        Right-hand sides and what is left of them, b - A x.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If in some column more than a tenth is left, and that is more than rounding of a right-hand
+        side that is meant to be zero.
+
+    Examples
+    --------
+    >>> A = csr_array([[1.0, -1.0], [-1.0, 1.0]])
+    >>> b, x = np.ones(2), np.array([1e16, 1e16 + 2])
+    >>> check_is_solved(b, b - A @ x)
+    Traceback (most recent call last):
+        ...
+    numpy.linalg.LinAlgError: no solution: x leaves 2 of b, in the mean over its entries (allowed...
+    """
+    with np.errstate(all="ignore"):  # numbers beyond 1e308 are refused elsewhere
+        whole, left = np.abs(b).sum(axis=0), np.abs(r).sum(axis=0)
+        lost = (whole > 0) & (left > LEFT * whole + NOISE)
+    if lost.any():
+        share = float((left[lost] / whole[lost]).max())
+        raise np.linalg.LinAlgError(
+            f"no solution: x leaves {share:.2g} of b, in the mean over its entries (allowed: "
+            f"{LEFT:g}); A must be positive definite, but may be singular to rounding, with b out "
+            "of its range: if it takes constants to zero, as a stiffness matrix alone does, "
+            "subtract the mean of b from it, or add a multiple of M to A"
         )

@@ -1,0 +1,88 @@
+"""What a linear system may be made of, and which solutions of it are refused."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scipy.sparse import block_diag, csr_array
+
+import esfem_core as ec
+from esfem_core.solvers import DirectSolver, LaggedSolver, check_residual
+
+SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+M, A = SPACE.mass_stiffness(SPACE.nodes)
+N = len(SPACE.nodes)
+SOLVERS = [DirectSolver, LaggedSolver]
+LOST = "must be (symmetric and )?positive definite, but"
+
+CONSTANTS = csr_array([[1.0, -1.0], [-1.0, 1.0]])  # takes them to zero
+
+
+class TestASingularMatrix:
+    """Where b is not in its range, x grows until any residual is one of rounding."""
+
+    @pytest.mark.parametrize("solver", SOLVERS)
+    @pytest.mark.parametrize("columns", [(), (3,)])
+    def test_is_refused_with_a_right_hand_side_out_of_its_range(self, solver, columns):
+        b = np.ones((N, *columns))
+        with pytest.raises(np.linalg.LinAlgError, match=LOST):
+            solver().solve(A, b, np.zeros_like(b))
+
+    @pytest.mark.parametrize("solver", SOLVERS)
+    def test_is_refused_if_sums_are_zero_on_the_whole_but_not_on_each_component(self, solver):
+        two = csr_array(block_diag([A, A]))
+        b = np.repeat([1.0, -1.0], N)
+        with pytest.raises(np.linalg.LinAlgError, match=LOST):
+            solver().solve(two, b, np.zeros_like(b))
+
+    def test_is_refused_if_one_column_among_larger_ones_is_out_of_range(self):
+        b = np.column_stack([[1e3, -1e3], [1.0, 1.0]])
+        x = np.column_stack([[500.0, -500.0], [1e16, 1e16 + 2]])
+        with pytest.raises(np.linalg.LinAlgError, match=r"x leaves 2 of b.*subtract the mean of b"):
+            check_residual(CONSTANTS, b, x)
+
+    def test_solves_a_right_hand_side_in_its_range(self):
+        b = M @ SPACE.nodes[:, 0] ** 3
+        b -= b.mean()
+        x = DirectSolver().solve(A, b, b)
+        np.testing.assert_allclose(A @ x, b, rtol=0, atol=1e-12 * abs(b).max())
+
+    @pytest.mark.parametrize("size", [0.0, 1e-17])
+    def test_is_no_matter_where_a_right_hand_side_is_zero_but_for_rounding(self, size):
+        """As that of a law that subtracts the mean of u, where u is uniform."""
+        check_residual(CONSTANTS, np.full(2, size), np.array([1.0, 1.0 + 2e-16]))
+
+    def test_in_a_law_of_ones_own_stops_the_run(self):
+        class Potential:
+            species: ClassVar = {}
+
+            def velocity(self, at, new, tau, past, solve):
+                w = solve(at.A, at.load(np.ones(at.density.shape)))
+                return at.x * w[:, None]
+
+        problem = ec.Problem(species={"u": ec.Species(1.0)}, law=Potential())
+        for options in ({}, {"solver": "direct"}):
+            with pytest.raises(ec.EvolutionError, match=LOST):
+                list(ec.evolve(SPACE, problem, 1, 0.1, 0.1, **options))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_needle_costs_no_digit_of_the_solution(solver):
+    """Its entries of the matrix are 1e4 times as large, and the residual there half of b."""
+    tri = ec.sphere("octahedron", 3)
+    i = int(np.argmax(tri.vertices[:, 0]))
+    end = tri.vertices[tri.vertex_neighbors[i][0]]
+    x = np.array(tri.vertices)
+    x[i] = end + 1e-4 * (x[i] - end)
+    mass, stiffness = ec.SurfaceSpace.from_nodes(x, tri.faces).mass_stiffness(x)
+    b = mass @ (1 + x[:, 0])
+    w = solver().solve(mass + 1e10 * stiffness, b, 0 * b)
+    np.testing.assert_allclose(w, b.sum() / mass.sum(), rtol=0.05)
+
+
+@pytest.mark.parametrize("rtol", [0.5, 1e-3])
+def test_a_loose_residual_that_was_asked_for_is_none_that_is_lost(rtol):
+    K = M + 1e9 * A
+    b = M @ (1 + SPACE.nodes[:, 0])
+    w = LaggedSolver(rtol).solve(K, b, 0 * b)
+    assert np.linalg.norm(b - K @ w) <= rtol * np.linalg.norm(b)
