@@ -48,6 +48,10 @@ class _Reordered:
 def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
     """The order given, or that of A."""
     n = square(A)
+    if A.dtype.kind == "f" and A.dtype != np.float64:
+        raise TypeError(
+            f"A must hold floats of double precision, got {A.dtype}: A.astype(float) has them"
+        )
     if order is None:
         return np.arange(n)
     order = integer_array("order", order, ("N",))
@@ -75,7 +79,7 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
     Raises
     ------
     TypeError
-        If `A` is not in CSR format.
+        If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
         If `A` is not square, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
@@ -131,7 +135,7 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
     ImportError
         If cholespy is not installed.
     TypeError
-        If `A` is not in CSR format.
+        If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
         If `A` is not square, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
@@ -205,7 +209,7 @@ class DirectSolver:
         Raises
         ------
         TypeError
-            If `A` is not in CSR format, or `b` not real.
+            If `A` is not in CSR format, or its entries or `b` are not real.
         ValueError
             If `A` is not square, or `b` does not fit it.
         numpy.linalg.LinAlgError

@@ -21,6 +21,8 @@ from esfem_core.solvers.systems import LEFT, check_is_solved, right_hand_side, s
 
 __all__ = ["LaggedSolver"]
 
+LARGEST = 1e150  # of a number whose square can be added up
+
 
 class LaggedSolver:
     """Conjugate gradients preconditioned with the factorisation of an earlier matrix.
@@ -101,9 +103,9 @@ class LaggedSolver:
         Raises
         ------
         TypeError
-            If `A` is not in CSR format, or `b` or `guess` not real.
+            If `A` is not in CSR format, or its entries, `b` or `guess` are not real.
         ValueError
-            If `A` is not square, or `b` or `guess` does not fit it.
+            If `A` is not square, `b` or `guess` does not fit it, or `b` has no column.
         numpy.linalg.LinAlgError
             If `A` is not finite, or the residual asked for is not reached with a factorisation of
             `A` itself, at last with that by SuperLU; or if rounding level is so high, since `A` is
@@ -112,6 +114,8 @@ class LaggedSolver:
             If the norm of a right-hand side is not finite.
         """
         b = right_hand_side(square(A), b)
+        if b.size == 0:
+            raise ValueError(f"b must have one column or more, got shape {b.shape}")
         rows = np.ascontiguousarray(b.reshape(len(b), -1).T)
         with np.errstate(over="ignore"):
             squares = np.vecdot(rows, rows)
@@ -140,8 +144,8 @@ class LaggedSolver:
         if not converged:
             raise np.linalg.LinAlgError(
                 f"no solution to a relative residual of {self.rtol:g} in price = {self.price} "
-                "iterations with a new factorisation, the last one by SuperLU: A must be symmetric "
-                "and positive definite, but is not, or is so in more digits than there are"
+                "iterations with a new factorisation, the last one by SuperLU: "
+                f"{_why_not(A, real_array('guess', guess, b.shape))}"
             )
         _check_rounding(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)
@@ -175,3 +179,18 @@ def _check_rounding(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> Non
         r = b - times_rows(A, x[rounded])
         loose = np.linalg.norm(r, axis=1) > np.sqrt(allowed.squares[rounded])
         check_is_solved(b[loose].T, r[loose].T)
+
+
+def _why_not(A: csr_array, guess: Array) -> str:
+    """What may be wrong with a system that was not solved."""
+    for name, numbers in (("A", A.data), ("guess", guess)):
+        largest = np.abs(numbers).max()
+        if largest > LARGEST:
+            return (
+                f"the numbers of {name} must be at most {LARGEST:g}, so that their squares can be "
+                f"added up, got {largest:.2g}"
+            )
+    return (
+        "A must be symmetric and positive definite, but is not, or is so in more digits than there "
+        "are"
+    )

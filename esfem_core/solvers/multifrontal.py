@@ -72,7 +72,7 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
     Raises
     ------
     TypeError
-        If the matrix is not in CSR format.
+        If the matrix is not in CSR format, or its entries are not real.
     ValueError
         If it is not square or its pattern differs from that of the fronts, or if `dtype` is
         another one.

@@ -19,7 +19,7 @@ def square(A: csr_array) -> int:
     Raises
     ------
     TypeError
-        If it is not in CSR format.
+        If it is not in CSR format, or its entries are not real numbers.
     ValueError
         If it is not square.
 
@@ -34,6 +34,8 @@ def square(A: csr_array) -> int:
         raise TypeError(f"A must be a sparse matrix in CSR format, got a {type(A).__name__}")
     if len(A.shape) != 2 or A.shape[0] != A.shape[1]:
         raise ValueError(f"A must be square, got shape {A.shape}")
+    if A.dtype.kind not in "fiu":
+        raise TypeError(f"A must hold real numbers, got {A.dtype}")
     return int(A.shape[0])
 
 

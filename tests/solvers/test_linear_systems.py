@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import block_diag, csr_array
 
 import esfem_core as ec
-from esfem_core.solvers import DirectSolver, LaggedSolver, check_residual
+from esfem_core.solvers import DirectSolver, LaggedSolver, check_residual, factorise, superlu
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
 M, A = SPACE.mass_stiffness(SPACE.nodes)
@@ -86,3 +86,48 @@ def test_a_loose_residual_that_was_asked_for_is_none_that_is_lost(rtol):
     b = M @ (1 + SPACE.nodes[:, 0])
     w = LaggedSolver(rtol).solve(K, b, 0 * b)
     assert np.linalg.norm(b - K @ w) <= rtol * np.linalg.norm(b)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    ("dtype", "message"),
+    [
+        (complex, "A must hold real numbers, got complex128"),
+        (bool, "A must hold real numbers, got bool"),
+        (np.float32, "A must hold floats of double precision, got float32: A.astype.float. has"),
+    ],
+)
+def test_matrices_of_other_numbers_are_refused_by_name(solver, dtype, message):
+    with pytest.raises(TypeError, match=message):
+        solver().solve((M + A).astype(dtype), np.ones(N), np.ones(N))
+    with pytest.raises(TypeError, match=message):
+        superlu((M + A).astype(dtype))
+
+
+def test_a_block_factor_of_a_complex_matrix_is_refused():
+    with pytest.raises(TypeError, match="A must hold real numbers, got complex128"):
+        factorise((M + A).astype(complex), SPACE.fronts)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_integers_are_numbers_as_good_as_any(solver):
+    K = (100 * (M + A)).astype(int) + csr_array(100 * np.eye(N, dtype=int))
+    x = solver().solve(K, np.ones(N), np.zeros(N))
+    np.testing.assert_allclose(K @ x, 1.0, rtol=0, atol=1e-9)
+
+
+def test_no_right_hand_side_at_all_is_refused():
+    with pytest.raises(ValueError, match=rf"b must have one column or more, got shape .{N}, 0"):
+        LaggedSolver().solve(M, np.zeros((N, 0)), np.zeros((N, 0)))
+
+
+@pytest.mark.parametrize(
+    ("size", "guess", "message"),
+    [
+        (1e200, 0.0, "the numbers of A must be at most 1e.150, so that .* got .*e.200"),
+        (1.0, 1e300, "the numbers of guess must be at most 1e.150, so that .* got 1e.300"),
+    ],
+)
+def test_numbers_whose_squares_are_infinite_are_not_blamed_on_definiteness(size, guess, message):
+    with pytest.raises(np.linalg.LinAlgError, match=message), np.errstate(all="ignore"):
+        LaggedSolver().solve(size * (M + A), np.ones(N), np.full(N, guess))
