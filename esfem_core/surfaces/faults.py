@@ -35,6 +35,10 @@ __all__ = [
 # package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
 FLATTEST = 1e-7
 
+# Sides shorter than this share of the coordinates are rounding errors; as for elements, by the same
+# number in elements/integrals.py.
+ROUNDING = 1e-14
+
 # What a repair turns as well, but that would close a surface that is meant to be open.
 TURNING = (
     "tri.faces = ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True).cells turns"
@@ -134,7 +138,8 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
 def flat_triangles(vertices: Array, faces: Ints) -> Bools:
     """Which triangles have no area to speak of, (T,): the limit for elements of a run, too."""
     area, squares = _areas(vertices, faces)
-    return np.asarray(~(4 * np.sqrt(3) * area > FLATTEST * squares))
+    lost = (ROUNDING * np.abs(vertices[faces]).max(initial=0.0)) ** 2  # twice an area
+    return np.asarray(~(4 * np.sqrt(3) * area > FLATTEST * squares + 2 * np.sqrt(3) * lost))
 
 
 def fans(faces: Ints, pairs: Ints) -> Ints:

@@ -141,7 +141,7 @@ def test_meshes_and_elements_have_one_limit_for_degenerate(share, fit):
 @pytest.mark.parametrize("size", [1e-10, 1e-8, 1, 1e6])
 def test_small_surfaces_and_far_ones_are_accepted_or_the_rounding_is_named(size, place):
     tri = mesh(size * SPHERE.vertices + place, SPHERE.faces)
-    if size < 1e-8 and place:
+    if size <= 1e-8 and place:
         text = message(tri)
         assert text.endswith(
             "numbers are rounded to 1e-10; subtract the middle of the surface before it is rounded"
@@ -150,6 +150,19 @@ def test_small_surfaces_and_far_ones_are_accepted_or_the_rounding_is_named(size,
         ec.check_triangulation(tri)
         inside_out = turned(tri)
         assert "oriented inwards" in message(inside_out)
+
+
+@pytest.mark.parametrize("refinements", [1, 2])
+@pytest.mark.parametrize(("place", "fit"), [(1e12, True), (1e14, False), (1e15, False)])
+def test_far_away_meshes_and_elements_have_one_limit_for_rounding(place, fit, refinements):
+    sphere = ec.sphere("icosahedron", refinements)
+    tri = mesh(sphere.vertices + place, sphere.faces)
+    if fit:
+        ec.SurfaceSpace(tri)
+        return
+    for refuse in (ec.SurfaceSpace, lambda tri: ec.repair(tri, report=None)):
+        with pytest.raises(ValueError, match="subtract the middle of the surface before it is"):
+            refuse(tri)
 
 
 def test_a_surface_that_rounding_has_made_one_point_is_told_so():
