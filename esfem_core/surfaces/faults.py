@@ -267,7 +267,8 @@ def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fau
         e = int(np.argmax(bad))
         edge = f"edge ({sides.start[e]}, {sides.end[e]}) of triangle {e // 3}"
         if sides.times[e] == 1:
-            return Fault(
+            # A lid for a Möbius strip would be lost labour.
+            return _of_orientation(faces) or Fault(
                 f"the surface is not closed: {edge} belongs to 1 triangle ({bad.sum()} such edges)",
                 "the theory is for closed surfaces: close it with a program for meshes, such as "
                 "MeshLab or Blender",
@@ -316,19 +317,24 @@ def _of_seams(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
     )
 
 
+def _of_orientation(faces: Ints) -> Fault | None:
+    orientable = turned_to_agree(faces)[1]
+    if orientable.all():
+        return None
+    return Fault(
+        "the surface is not orientable: a way around it, as on a Möbius strip or a Klein bottle, "
+        f"comes back to triangle {np.argmin(orientable)} from behind",
+        "it has no inside and no normal, which the equations need: take an orientable surface",
+    )
+
+
 def _of_neighbours(faces: Ints, sides: Sides) -> Fault | None:
     one, other = sides.pairs().T
     against = sides.start[one] == sides.start[other]
     if not against.any():
         return None
-    orientable = turned_to_agree(faces)[1]
-    if not orientable.all():
-        t = int(np.argmin(orientable))
-        return Fault(
-            f"the surface is not orientable: a way around it, as on a Klein bottle, comes back to "
-            f"triangle {t} from behind",
-            "it has no inside and no normal, which the equations need: take an orientable surface",
-        )
+    if found := _of_orientation(faces):
+        return found
     e = int(one[against].min())
     return Fault(
         f"neighbours are oriented against each other: triangle {e // 3} and its neighbour "

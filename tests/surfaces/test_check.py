@@ -109,6 +109,27 @@ def test_a_klein_bottle_is_called_not_orientable():
     assert "repair" not in text
 
 
+def test_a_moebius_strip_is_not_told_to_be_closed():
+    """Closed by any lid, it is a surface without an inside."""
+    n = 20
+    v, w = np.meshgrid(2 * np.pi * np.arange(n) / n, [-0.3, 0.3], indexing="ij")
+    r = 1 + w * np.cos(v / 2)
+    x = np.stack([r * np.cos(v), r * np.sin(v), w * np.sin(v / 2)], axis=-1).reshape(-1, 3)
+    numbers = np.arange(2 * n).reshape(n, 2)
+    ahead = np.vstack([numbers[1:], numbers[:1, ::-1]])
+    (a, b), (c, d) = numbers.T, ahead.T
+    tri = mesh(x, np.vstack([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)]))
+    for refuse in (
+        ec.check_triangulation,
+        lambda tri: ec.check_triangulation(tri, boundary=True),
+        lambda tri: ec.repair(tri, report=None),
+        lambda tri: ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces),
+    ):
+        with pytest.raises(ValueError, match=r"is not orientable: .* take an orientable") as error:
+            refuse(tri)
+        assert "close it" not in str(error.value)
+
+
 def test_a_needle_is_refused_and_the_advice_works():
     """The default solver failed on this mesh: two vertices 1e-8 apart."""
     sphere = ec.sphere("icosahedron", 2)
