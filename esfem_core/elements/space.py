@@ -376,7 +376,8 @@ class SurfaceSpace:
         Returns
         -------
         M, A : (N, N) CSR arrays
-            Symmetric, of one fixed sparsity pattern (shared index arrays), with fresh data.
+            Symmetric, of one fixed sparsity pattern (shared index arrays), with fresh data. What
+            changes the pattern in place, such as ``M.eliminate_zeros()``, needs ``M.copy()``.
 
         Raises
         ------
