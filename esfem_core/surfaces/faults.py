@@ -1,5 +1,6 @@
 """What is wrong with a mesh: the first thing that the theory forbids, and where it is."""
 
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +68,12 @@ def check_is_trimesh(name: str, value: object) -> None:
             f"{name} must be a trimesh.Trimesh, got a {type(value).__name__}; "
             f"{name} = ec.read_mesh({name}) converts it"
         )
-    raise TypeError(f"{name} must be a trimesh.Trimesh, got {shown(value)}")
+    advice = ""
+    if isinstance(value, str | os.PathLike):
+        advice = f"; {name} = ec.read_mesh({str(value)!r}) reads it"
+    elif isinstance(value, tuple | list) and [getattr(part, "ndim", 0) for part in value] == [2, 2]:
+        advice = f"; {name} = trimesh.Trimesh(*{name}, process=False) makes one of arrays"
+    raise TypeError(f"{name} must be a trimesh.Trimesh, got {shown(value)}{advice}")
 
 
 class Fault(NamedTuple):

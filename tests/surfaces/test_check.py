@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -229,6 +230,13 @@ def test_only_trimesh_is_taken_and_the_conversion_is_said():
         ec.check_triangulation(([], []))
     with pytest.raises(TypeError, match=r"got a Scene; tri = ec\.read_mesh\(tri\) converts it"):
         ec.SurfaceSpace(trimesh.Scene([SPHERE]))
+    for path in ("a.stl", Path("a.stl")):
+        with pytest.raises(TypeError, match=r"; tri = ec\.read_mesh\('a\.stl'\) reads it"):
+            ec.SurfaceSpace(path)
+    pair = np.array(SPHERE.vertices), np.array(SPHERE.faces)
+    with pytest.raises(TypeError, match=r"; tri = trimesh\.Trimesh\(\*tri, process=False\) makes"):
+        ec.SurfaceSpace(pair)
+    ec.SurfaceSpace(trimesh.Trimesh(*pair, process=False))
     for other in (ConvexHull(SPHERE.vertices), SPHERE.voxelized(0.5)):  # read_mesh takes neither
         with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh, got (?!.*read_mesh)"):
             ec.SurfaceSpace(other)
