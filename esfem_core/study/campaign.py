@@ -28,7 +28,7 @@ from pathlib import Path
 from pickle import loads
 from typing import Any, Literal, NamedTuple
 
-from esfem_core.checks import function, items, iterable, one_of, path_of, shown, whole_number
+from esfem_core.checks import flag, function, items, iterable, one_of, path_of, shown, whole_number
 from esfem_core.study.dependencies import is_of_package
 from esfem_core.study.environment import environment
 from esfem_core.study.locks import StudyWarning
@@ -79,8 +79,8 @@ class Experiment:
     chains : sequence of sequences of dict
         Parameters of the cases. Those of a chain are computed in order.
     enough : callable, optional
-        ``enough(previous, current)`` looks at two neighbouring results of a chain; if it says True,
-        the rest of the chain is left out.
+        ``enough(previous, current)`` looks at copies of two neighbouring results of a chain; if it
+        returns True, the rest of the chain is left out.
     """
 
     name: str
@@ -336,15 +336,33 @@ class _Chain:
         row = self.store.find(self.waiting[0])
         return row if row and self.wanted in (None, row.code) else None
 
-    def settled(self, row: Row, *, found: bool) -> Outcome:
-        """Take the row of the next case."""
-        enough, parameters = self.experiment.enough, self.waiting[0]
-        before = len(self.waiting)
-        stop = self._last and enough and enough(self._last.results, row.results)
-        self.waiting = [] if stop else self.waiting[1:]
-        self._last, self.attempts = row, 0
-        cases = before - len(self.waiting)
-        return Outcome(self.experiment, parameters, row, None, found, cases)
+    def settled(self, row: Row, *, found: bool) -> list[Outcome]:
+        """Take the row of the next case; where `enough` fails, the chain ends with its error."""
+        parameters, *self.waiting = self.waiting
+        before, self._last, self.attempts = self._last, row, 0
+        outcome = Outcome(self.experiment, parameters, row, None, found, 1)
+        if before is None or not self.waiting:
+            return [outcome]
+        try:
+            stop = self._enough(before, row)
+        except Exception as error:
+            return [outcome, self.failed(error)]
+        if stop:
+            outcome = outcome._replace(cases=1 + len(self.waiting))
+            self.waiting = []
+        return [outcome]
+
+    def _enough(self, before: Row, row: Row) -> bool:
+        """What the experiment's function says; of copies, since rows are kept."""
+        if self.experiment.enough is None:
+            return False
+        what = "not begun: enough(previous, current), of the two cases before,"
+        try:
+            stop = self.experiment.enough(deepcopy(before.results), deepcopy(row.results))
+        except Exception as error:
+            text = f"{what} raised {type(error).__name__}: {error}"
+            raise RuntimeError(text) from error
+        return flag(what, stop)
 
     def failed(self, error: Exception) -> Outcome:
         """End here."""
@@ -396,7 +414,7 @@ class _Campaign:
 
     def _found(self, chain: _Chain) -> Iterator[Outcome]:
         while chain.waiting and (row := chain.find()):
-            yield chain.settled(row, found=True)
+            yield from chain.settled(row, found=True)
 
     def _begin(self) -> Iterator[Outcome]:
         """Give the executor what it can take, and nobody else has begun."""
@@ -466,7 +484,7 @@ class _Campaign:
         settled = chain.settled(kept, found=kept is not outcome)
         if chain.waiting:
             self.waiting.append(chain)
-        yield settled
+        yield from settled
 
     def _lost(self, chain: _Chain, error: Exception) -> Iterator[Outcome]:
         """Begin a case again, which has come to nothing by no fault of its function, or give up."""

@@ -169,7 +169,8 @@ def run(
     threads : int, optional
         Threads of the numerical libraries in each of our own processes; None leaves it to them.
     enough : callable, optional
-        ``enough(previous, current)``, of two neighbouring results of a chain.
+        ``enough(previous, current)``, of copies of two neighbouring results of a chain: True leaves
+        out the rest of it. If it fails, so does the next case.
     stale : {"renew", "keep"}
         Whether rows of other code are computed again, and replaced then, or taken as they are.
     progress : bool or callable

@@ -11,6 +11,7 @@ import os
 import shlex
 import tempfile
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -286,9 +287,9 @@ class Store:
         self._locks = FileLocks(self.path.with_name(f".{self.path.name}.lock"))
 
     def find(self, parameters: Parameters) -> Row | None:
-        """The row of a case, if the file has one now."""
+        """A copy of the row of a case, if the file has one now."""
         self._refresh()
-        return self._rows.get(case_key(parameters))
+        return deepcopy(self._rows.get(case_key(parameters)))
 
     def claim(self, parameters: Parameters) -> bool:
         """Reserve a case; False if someone else, or this process, computes it already."""
@@ -322,7 +323,7 @@ class Store:
             key = case_key(row.parameters)
             old = self._rows.get(key)
             if old and old.code == row.code:
-                return old
+                return deepcopy(old)
             if old:
                 rows = self._rows | {key: row}
                 self._replace(b"".join(map(_line, rows.values())))

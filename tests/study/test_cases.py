@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.study import StudyWarning, grid, read, rows, run, select
+from esfem_core.study import Experiment, StudyWarning, grid, outcomes, read, rows, run, select
 
 FACTOR = 1
 
@@ -68,6 +69,58 @@ def test_a_chain_ends_when_it_is_enough(tmp_path):
     for _ in range(2):  # computed, and found
         results, _ = study(tmp_path, [chain], enough=settled)
         assert [row.parameters["step"] for row in results.rows] == [1, 0.5]
+
+
+def nothing(*results):
+    return 1 / 0
+
+
+FAILING = {
+    nothing: "raised ZeroDivisionError: division by zero",
+    lambda before, after: np.array([True, False]): "must be True or False, got an array of shape",
+    lambda before, after: None: "must be True or False, got None",
+    lambda one: True: "raised TypeError: .*takes 1 positional argument but 2 were given",
+}
+
+
+@pytest.mark.parametrize("enough", FAILING)
+def test_an_error_in_enough_ends_its_chain_and_no_other(tmp_path, enough):
+    chains = [[{"order": 1, "step": 0.5**k} for k in range(4)], [{"order": 3, "step": 1}]]
+    for last in ("0.0 s", "found"):
+        with pytest.warns(StudyWarning, match="the first one with order=1"):
+            results, lines = study(tmp_path, chains, enough=enough)
+        kept = [(row.parameters["order"], row.parameters["step"]) for row in results.rows]
+        assert kept == [(1, 1), (1, 0.5), (3, 1)]
+        [(parameters, error)] = results.failures
+        assert parameters == {"order": 1, "step": 0.25}
+        text = r"not begun: enough\(previous, current\), of the two cases before, "
+        assert re.match(text + FAILING[enough], str(error))
+        assert {"5/5"} <= {line[:3] for line in lines}
+        assert lines[0].endswith(last)
+
+
+def test_enough_is_not_asked_where_nothing_is_left_of_the_chain(tmp_path):
+    results, _ = study(tmp_path, [grid(order=[1], step=[1, 0.5])], enough=nothing)
+    assert (len(results.rows), results.failures) == (2, [])
+
+
+def test_what_looks_at_results_cannot_change_what_is_kept(tmp_path, monkeypatch):
+    def enough(before, after):
+        before["error"] = after["error"] = -1.0
+        return False
+
+    chain = grid(order=[1], step=[1.0, 0.5, 0.25])
+    kept = [1.1, 0.6, 0.35]
+    for _ in range(2):  # computed, and found
+        results, _ = study(tmp_path, [chain], enough=enough)
+        assert [row.results["error"] for row in results.rows] == kept
+    experiment = Experiment("power", "", power, [chain])
+    monkeypatch.setitem(globals(), "FACTOR", 2)
+    study(tmp_path, chain[:2])  # so that the last row is replaced, and the others written again
+    for outcome in outcomes([experiment], tmp_path, workers=0, stale="renew"):
+        outcome.row.results["error"] = -1.0
+    rows = read(tmp_path / "power.jsonl")
+    assert [row.results["error"] for row in rows] == [2.1, 1.1, 0.6]
 
 
 def test_rows_of_other_code_are_renewed_in_their_place_or_kept(tmp_path, monkeypatch):
