@@ -19,7 +19,10 @@ __all__ = [
     "Array",
     "Bools",
     "Ints",
+    "check_array",
     "check_even",
+    "check_nodes",
+    "check_string",
     "finite_array",
     "flag",
     "frozen",
@@ -508,6 +511,51 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
     if not _fits(array.shape, shape):
         raise ValueError(f"{name} must have shape {_text(shape)}, got {array.shape}")
     return np.asarray(array, dtype=float)
+
+
+def check_array(name: str, values: object, shape: Sequence[int | str]) -> None:
+    """Refuse what is no array that :func:`real_array` returns as it is, where none is converted.
+
+    Examples
+    --------
+    >>> check_array("density", [[1.0]], ("T", "Q"))
+    Traceback (most recent call last):
+        ...
+    TypeError: density must be an array of shape (T, Q), got [[1.0]]
+    """
+    if not isinstance(values, np.ndarray):
+        raise TypeError(f"{name} must be an array of shape {_text(shape)}, got {shown(values)}")
+    if values.dtype.kind not in "fiu":  # fractions are, once they are converted
+        raise TypeError(f"{name} must hold real numbers, got {values.dtype} ({shown(values)})")
+    real_array(name, values, shape)
+
+
+def check_nodes(name: str, x: object) -> None:
+    """Refuse what are no positions of nodes, where none are converted.
+
+    Examples
+    --------
+    >>> check_nodes("x", np.zeros((1, 5, 3)))
+    Traceback (most recent call last):
+        ...
+    ValueError: x must have shape (N, 3), got (1, 5, 3)
+    """
+    check_array(name, x, ("N", 3))
+    if not len(finite_array(name, x, ("N", 3))):  # type: ignore[arg-type]
+        raise ValueError(f"{name} must hold at least one node, got none")
+
+
+def check_string(name: str, value: object) -> None:
+    """Refuse what is no string; a key of a mapping cannot even be looked for if it is a list.
+
+    Examples
+    --------
+    >>> check_string("name", ["u"])
+    Traceback (most recent call last):
+        ...
+    TypeError: name must be a string, got ['u']
+    """
+    string(name, value)
 
 
 def check_even(name: str, values: object) -> None:

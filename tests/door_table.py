@@ -24,7 +24,7 @@ from doors import (
 )
 
 import esfem_core as ec
-from esfem_core import elements, solvers, stepping, surfaces, theory
+from esfem_core import elements, solvers, stepping, study, surfaces, theory
 from esfem_core.study import ConvergenceTable, final, observed_orders, space_study, time_study
 
 DEGREES = (0, -1, 1000, 10**12)
@@ -48,6 +48,10 @@ def _turning(x, t):
     return np.cross([0.0, 0.0, 1.0], x)
 
 
+def _squared(side):
+    return {"area": side**2}
+
+
 @cache
 def doors() -> list[Door]:
     """All of them; made once."""
@@ -69,6 +73,14 @@ def doors() -> list[Door]:
     flat = ec.SurfaceSpace(tri)
     simple = ec.Problem(u0=1.0, motion=_still)
     curved = meshio.Mesh(space.nodes, [("triangle6", space.cells)])
+
+    density = space.density(x)
+    table = ConvergenceTable("h", [1.0, 0.5], {"e": [1.0, 0.2]})
+    areas = study.Experiment("areas", "", _squared, [[{"side": 2}]])
+
+    def run_study(cases=({"side": 2},), compute=_squared, **given):
+        options = {"folder": folder, "workers": 0, "progress": False, "name": "areas", **given}
+        return study.run(cases, compute, **options)
 
     def evolve(problem=simple, space=rough, order=1, step=0.5, end=1.0, **options):
         """Run to the end."""
@@ -235,6 +247,12 @@ def doors() -> list[Door]:
         Door("mesh_size", space.mesh_size, {"x": array(x)}),
         Door("normals", space.normals, {"x": array(x)}),
         Door("density", space.density, {"x": array(x)}),
+        Door("integral_with", space.integral_with,
+             {"density": array(density, finite=False, only=True),
+              "values": array(pairs, finite=False, constant=True, after=True)}),
+        Door("load_with", space.load_with,
+             {"density": array(density, finite=False, only=True),
+              "values": array(pairs, finite=False, after=True, only=True)}),
         Door("quadrature_points", space.quadrature_points, {"x": array(x)}),
         Door("basis_gradients", space.basis_gradients, {"x": array(x)}),
         Door("Surface", surfaces_state,
@@ -250,6 +268,8 @@ def doors() -> list[Door]:
         Door("Surface.matrix", at.matrix,
              {"mass": array(pairs, finite=False, constant=True),
               "stiffness": array(pairs, finite=False, constant=True)}),
+        Door("Surface.grad", at.grad, {"name": text("u")}),
+        Door("Surface[]", lambda name: at[name], {"name": text("u")}),
         Door("triangle_rule", elements.triangle_rule, {"exactness": whole(3, -1, 10**9)}),
         # laws and problems
         Door("Species", ec.Species,
@@ -302,6 +322,12 @@ def doors() -> list[Door]:
               "u": returning(lambda x, t: x[:, 0], instead=(None,)),
               "closest": returning(lambda x, t: ec.to_unit_sphere(x)),
               "origin": returning(lambda x, t: ec.to_unit_sphere(x))}),
+        Door("Exact.nodal", problem.exact.nodal,
+             {"nodes": array(x, rows=True, only=True), "t": number(0.25)}),
+        Door("Problem.initial_values", problem.initial_values,
+             {"x": array(x, rows=True, only=True)}),
+        Door("Species.initial_values", ec.Species(lambda x: x[:, 0]).initial_values,
+             {"x": array(x, rows=True, only=True)}),
         Door("Regularised", ec.laws.Regularised,
              {"alpha": number(1.0, -1), "beta": number(1.0, -1),
               "g": function(lambda at: at.u, optional=True)}),
@@ -379,6 +405,13 @@ def doors() -> list[Door]:
         # stepping
         Door("delta", ec.bdf.delta, {"p": whole(2, 0, *HUGE)}),
         Door("gamma", ec.bdf.gamma, {"p": whole(2, 0, *HUGE)}),
+        Door("delta_exact", ec.bdf.delta_exact, {"p": whole(2, 0, *HUGE)}),
+        Door("combine", ec.bdf.combine,
+             {"coefficients": Argument([1.0, 2.0], "listed",
+                                       [None, 1, "ab", [], {}, object(), [1.0], [None, 1.0],
+                                        [1.0, "a"], [NAN, 1.0], [1j, 1], np.ones((2, 2))]),
+              "values": Argument([u, u], "listed", [None, 1, "ab", [], {}, [u], [u, None], [u, u[:-1]],
+                                                    [u, u * 1j], [u, u.astype(str)]])}),
         Door("extrapolate", ec.bdf.extrapolate,
              {"values": Argument([u, u], "listed", [None, 1, "a", [], ["a"], [None], [u, u[:-1]],
                                                     [u * 1j], {}])}),
@@ -409,6 +442,7 @@ def doors() -> list[Door]:
               "products": Argument(None, "listed", [1, "a", [], {"a": "b"}, {1: u}]),
               "method": Argument(None, "listed", [1, "a", [], (1, 2), ("no", 1, 0.1),
                                                   ("updated", 1.5, 0.1), ("updated", 1, NAN)])}),
+        Door("State[]", lambda name: last[name], {"name": text("u")}),
         Door("measure", ec.measure, {"state": one(last)}),
         Door("exact_state", stepping.exact_state,
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
@@ -436,10 +470,54 @@ def doors() -> list[Door]:
              {"sizes": array([0.4, 0.2], [1.0, -1.0], [1.0, 1.0]),
               "values": array([4.0, 1.0], [-1.0, 1.0], finite=False)}),
         Door("ConvergenceTable", ConvergenceTable,
-             {"parameter": text("h"), "sizes": array([0.4, 0.2]),
+             {"parameter": text("h"), "sizes": array([0.4, 0.2], [1.0, -1.0], [0.0, 1.0]),
               "errors": Argument({"a": [1.0, 2.0]}, "listed",
                                  [None, 1, "a", [], {"a": 1}, {"a": [1.0]}, {1: [1.0, 2.0]}],
                                  called=("a",))}),
+        Door("ConvergenceTable.of", ConvergenceTable.of,
+             {"parameter": text("h"), "sizes": array([0.4, 0.2], [1.0, -1.0], [0.0, 1.0]),
+              "rows": Argument([{"a": 1.0}, {"a": 2.0}], "listed",
+                               [None, 1, "a", [], {}, [1, 2], [None, {"a": 1.0}], [{1: 1.0}, {1: 1.0}],
+                                [{"a": 1.0}, {"b": 1.0}]])}),
+        Door("ConvergenceTable.join", ConvergenceTable.join,
+             {"tables": Argument({"a": table, "b": table}, "listed",
+                                 [None, 1, "a", [], {}, [table], {"a": 1}, {1: table}]),
+              "name": text("e")}),
+        Door("ConvergenceTable.orders", table.orders, {"name": text("e")}),
+        Door("study.grid", lambda order: study.grid(order=order),
+             {"order": Argument((1, 2), "listed", [None, 1, 1.5, "ab", b"a", True, object(),
+                                                   np.array(1.0)])}),
+        Door("study.run", run_study,
+             {"cases": Argument([{"side": 2}], "listed",
+                                [None, 1, "a", {"side": 1}, [1], ["a"], [None], [{1: 2}],
+                                 [[{"side": 1}, 2]], [{"side": object()}], [{"side": np.ones(2)}]],
+                                called=("case",)),
+              "compute": function(_squared),
+              "folder": Argument(str(folder), "listed", [None, 1, [], b"a", True, "a\0"]),
+              "executor": Argument(None, "listed", [1, "a", [], {}, object(), True]),
+              "name": Argument("areas", "listed", [1, "", "a/b", "..", [], b"a", True]),
+              "workers": Argument(0, "listed", [-1, 1.5, "1", [], True, NAN]),
+              "threads": Argument(1, "listed", [0, -1, 1.5, "1", [], True, NAN]),
+              "enough": function(lambda one, other: False, optional=True),
+              "stale": option("renew"),
+              "progress": Argument(False, "listed", [None, 1, "a", [], {}, object()])}),
+        Door("study.outcomes",
+             lambda experiments, **o: list(study.outcomes(experiments, folder, workers=0, **o)),
+             {"experiments": Argument([areas], "listed", [None, 1, "a", {}, [None], [1], [{}]]),
+              "stale": option("keep")}),
+        Door("study.case", study.case,
+             {"experiment": one(areas), "parameters": Argument({"side": 1}, "listed",
+                                                               [None, 1, "a", [], [1], {1: 2}])}),
+        Door("study.is_current", study.is_current,
+             {"experiment": one(areas), "row": one(study.case(areas, {"side": 2}))}),
+        Door("study.read", study.read,
+             {"path": Argument(str(folder / "none.jsonl"), "listed",
+                               [None, 1, [], b"a", True, str(folder), "a\0"])}),
+        Door("study.select", study.select,
+             {"rows": Argument([study.case(areas, {"side": 2})], "listed",
+                               [None, 1, "a", {}, [1], [None]])}),
+        Door("Processes", study.Processes,
+             {"workers": whole(1, 0, -1, optional=True), "threads": whole(1, 0, -1, optional=True)}),
         Door("final", final, {"states": several(states)}),
         Door("time_study",
              lambda space=rough, problem=problem, order=1, steps=(0.5,), end=0.5, **o:
@@ -464,6 +542,8 @@ def doors() -> list[Door]:
              {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
         Door("gammas_of", ec.multipliers.gammas_of,
              {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], [1.0, 1.0], rows=True)}),
+        Door("circle_polynomial", ec.multipliers.circle_polynomial,
+             {"delta": array([1.5, -2.0, 0.5], [], rows=True), "mu": array([1.0], [], rows=True)}),
         Door("bdf_kernel", ec.peano.bdf_kernel,
              {"p": whole(2, 0, *HUGE), "degree": whole(1, 0, 3, optional=True)}),
         Door("extrapolation_kernel", ec.peano.extrapolation_kernel,
@@ -479,6 +559,12 @@ def doors() -> list[Door]:
              {"space": one(space), "x": array(x), "v": array(x)}),
         Door("forms.mass_rate", ec.forms.mass_rate,
              {"space": one(space), "x": array(x), "v": array(x)}),
+        Door("forms.stiffness_rate", ec.forms.stiffness_rate,
+             {"space": one(space), "x": array(x), "v": array(x)}),
+        Door("forms.check_symmetric", lambda matrix: ec.forms.check_symmetric("K", matrix),
+             {"matrix": one(K, called=("K",))}),
+        Door("forms.check_definite", lambda matrix: ec.forms.check_definite("K", matrix),
+             {"matrix": one(K, called=("K",))}),
         Door("forms.lift", ec.forms.lift,
              {"space": one(space), "x": array(x), "surface": one(ec.exact_surfaces.Sphere())}),
         Door("forms.relative_norm", ec.forms.relative_norm,
@@ -487,6 +573,23 @@ def doors() -> list[Door]:
         Door("defects", ec.defects.defects,
              {"space": one(space), "problem": one(problem), "order": whole(1, 0),
               "step": number(0.1, 0, -1), "n": whole(2, 0, -1)}),
+        Door("exact_values", ec.defects.exact_values,
+             {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("rate_of_u", ec.defects.rate_of_u,
+             {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("stretching", ec.defects.stretching,
+             {"space": one(space), "x": array(x), "v": array(x), "u": array(u, after=True)}),
+        Door("rate_of_mass", ec.defects.rate_of_mass,
+             {"space": one(space), "x": array(x), "v": array(x), "u": array(u, after=True),
+              "rate": array(u)}),
+        Door("diffusion", ec.defects.diffusion,
+             {"problem": one(problem), "A": one(A), "u": array(u, after=True)}),
+        Door("source_load", ec.defects.source_load,
+             {"space": one(space), "problem": one(problem), "x": array(x), "u": array(u, after=True),
+              "t": number(0.5)}),
+        Door("force_load", ec.defects.force_load,
+             {"space": one(space), "problem": one(problem), "x": array(x), "u": array(u, after=True),
+              "t": number(0.5)}),
         Door("spatial_defects", ec.defects.spatial_defects,
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
         Door("response", respond,

@@ -54,7 +54,8 @@ def whole(good, *bad, optional=False, called=()):
 def array(good, *bad, optional=False, called=(), **free):
     """An array; what is free: finite=False, constant, before, after or rows=True.
 
-    A number will do for a constant; before and after there may be further axes; any rows.
+    A number will do for a constant; before and after there may be further axes; any rows. Not free
+    is only=True: nothing is converted, so that it must be an array of numbers.
     """
     return Argument(good, "array", (bad, free), optional, called)
 
@@ -126,6 +127,7 @@ def wrong(argument: Argument) -> list[tuple[str, Any]]:
             bad, free = detail
             found = [*NO_ARRAY, *bad, *_spoilt(np.asarray(good), **free)]
             found += [] if free.get("constant") else [1.0, NAN]
+            found += [np.asarray(good).tolist(), np.array(good, object)] if "only" in free else []
         case "option":
             found = [None, 1, "no such", "", [], b"a", NAN, Thing(), good.upper() + "x"]
         case "flag":
@@ -170,10 +172,11 @@ def equal(argument: Argument) -> list[tuple[str, Any]]:
             found += [int(good)] if good == int(good) else []
         case "array":
             values = np.asarray(good)
-            found = [values.tolist(), np.asfortranarray(values), values.astype(np.longdouble)]
             doubled = np.repeat(values, 2, axis=0) if values.ndim else values
+            found = [np.asfortranarray(values)]
             found += [doubled[::2]] if values.ndim else []
-            found += [values.astype(object)]
+            if "only" not in argument.detail[1]:
+                found += [values.tolist(), values.astype(np.longdouble), values.astype(object)]
         case "flag":
             found = [np.bool_(good)]
         case "several":
@@ -195,7 +198,13 @@ def _stands(value: Any, kinds: tuple[Any, ...]) -> bool:
 
 
 def _spoilt(
-    values: np.ndarray, finite=True, constant=False, before=False, after=False, rows=False
+    values: np.ndarray,
+    finite=True,
+    constant=False,
+    before=False,
+    after=False,
+    rows=False,
+    only=False,
 ) -> list[Any]:
     """Arrays that differ from a good one in shape or kind."""
     found: list[Any] = [values.astype(complex), values.astype(str)]

@@ -18,6 +18,7 @@ from esfem_core.checks import (
     Array,
     Bools,
     Ints,
+    check_array,
     finite_array,
     flag,
     function,
@@ -504,6 +505,7 @@ class SurfaceSpace:
 
     def integral_with(self, density: Array, values: ArrayLike) -> Array:
         """Integrals with the area density, (T, Q), of a surface."""
+        check_array("density", density, (len(self.cells), len(self.rule.weights)))
         measure = density * self.rule.weights
         at_points = real_array("values", values, ("...",))
         if at_points.ndim == 0:
@@ -572,7 +574,9 @@ class SurfaceSpace:
         return self.load(x, self.evaluate(u))
 
     def load_with(self, density: Array, values: Array) -> Array:
-        """Load vector with the area density, (T, Q), of a surface."""
+        """Load vector with the area density, (T, Q), of a surface; values are (T, Q, ...)."""
+        check_array("density", density, (len(self.cells), len(self.rule.weights)))
+        check_array("values", values, (len(self.cells), len(self.rule.weights), "..."))
         density = density.T
         by_point = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)  # (m, Q, T)
         entries = np.empty((len(by_point), self.cells.shape[1], len(self.cells)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, frozen, mapping, number, object_of, real_array
+from esfem_core.checks import Array, check_string, frozen, mapping, number, object_of, real_array
 from esfem_core.elements.integrals import Metric
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
@@ -288,6 +288,7 @@ class Surface:
         return self.space.sum_loads(entries, tuple(trailing))
 
     def _function(self, kind: str, name: str) -> Array:
+        check_string("name", name)
         if name not in self.fields:
             known = ", ".join(map(repr, self.fields)) or "none"
             raise KeyError(f"there is no function {name!r} on this surface, only {known}")

@@ -8,7 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, check_even, finite_array, flag, frozen, function, number, shown
+from esfem_core.checks import (
+    Array,
+    check_even,
+    check_nodes,
+    finite_array,
+    flag,
+    frozen,
+    function,
+    number,
+    shown,
+)
 from esfem_core.elements import NotFiniteError, Surface, check_tensors, combination
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.values import values_at
@@ -198,9 +208,10 @@ class Species:
         Raises
         ------
         ValueError, TypeError
-            If they are not real, finite or not one row for each node, or if D has another number of
-            components.
+            If x is no such array; if they are not real, finite or not one row for each node, or if
+            D has another number of components.
         """
+        check_nodes("x", x)
         values: Any = self.initial(x.copy()) if callable(self.initial) else self.initial
         values = finite_array(name, values, ("...",))
         if values.ndim == 0:

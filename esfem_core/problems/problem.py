@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, function, mapping, number, shown
+from esfem_core.checks import Array, check_nodes, finite_array, function, mapping, number, shown
 from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial, check_law
 
 __all__ = ["Exact", "Problem", "at_points"]
@@ -98,8 +98,11 @@ class Exact(_Functions):
         Raises
         ------
         ValueError, TypeError
-            If a function does not return finite real numbers of the right shape.
+            If the nodes are no such array or t no number, or a function does not return finite
+            real numbers of the right shape.
         """
+        check_nodes("nodes", nodes)
+        _check_time(t)
         x = np.array(finite_array("exact.x", self.x(nodes.copy(), t), nodes.shape))
         v = np.array(finite_array("exact.v", self.v(nodes.copy(), t), nodes.shape))
         values = {
@@ -107,6 +110,10 @@ class Exact(_Functions):
             for name, given in self.functions.items()
         }
         return x, v, values
+
+
+def _check_time(t: float) -> None:
+    number("t", t)
 
 
 def at_points(
@@ -278,6 +285,7 @@ class Problem:
 
         Of all species that have some; a law may make those of its own from the mesh.
         """
+        check_nodes("x", x)
         return {
             name: species.initial_values(
                 x, "u0" if name == "u" else f"the initial value of {name!r}"

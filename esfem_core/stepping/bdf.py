@@ -11,7 +11,7 @@ from math import comb
 
 import numpy as np
 
-from esfem_core.checks import Array, real_array, shown, whole_number
+from esfem_core.checks import Array, iterable, number, real_array, shown, whole_number
 
 __all__ = ["combine", "delta", "delta_exact", "extrapolate", "gamma"]
 
@@ -134,19 +134,27 @@ def extrapolate(values: Sequence[Array]) -> Array:
 def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
     """Sum of coefficients[j] values[j], summed in this order.
 
+    Parameters
+    ----------
+    coefficients : iterable of float
+    values : iterable of arrays of one shape
+
     Raises
     ------
     ValueError
-        If there is not one value for each coefficient, or their shapes differ.
+        If there is not one value for each coefficient, their shapes differ, or a coefficient is
+        not finite.
     TypeError
-        If a value does not hold real numbers.
+        If a coefficient is no real number, or a value does not hold such.
 
     Examples
     --------
     >>> combine(delta(2), [np.array([4.0]), np.array([1.0]), np.array([0.0])])  # 2 t at t = 2
     array([4.])
     """
+    _check_iterables(coefficients, values)
     weights = list(coefficients)
+    _check_weights(weights)
     arrays = [real_array(f"values[{j}]", value, ("...",)) for j, value in enumerate(values)]
     if not len(weights) == len(arrays) > 0:
         raise ValueError(
@@ -163,3 +171,13 @@ def combine(coefficients: Iterable[float], values: Iterable[Array]) -> Array:
             )
         total += weights[j] * arrays[j]
     return total
+
+
+def _check_iterables(coefficients: object, values: object) -> None:
+    iterable("coefficients", coefficients, "numbers")
+    iterable("values", values, "arrays of one shape")
+
+
+def _check_weights(weights: Sequence[float]) -> None:
+    for j, weight in enumerate(weights):
+        number(f"coefficients[{j}]", weight)

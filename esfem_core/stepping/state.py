@@ -9,6 +9,7 @@ import numpy as np
 
 from esfem_core.checks import (
     Array,
+    check_string,
     finite_array,
     frozen,
     mapping,
@@ -170,6 +171,7 @@ class State:
 
     def __getitem__(self, name: str) -> Array:
         """Nodal values of a species or of a field of the law."""
+        check_string("name", name)
         try:
             return self.fields[name]
         except KeyError:

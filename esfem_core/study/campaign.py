@@ -28,7 +28,18 @@ from pathlib import Path
 from pickle import loads
 from typing import Any, Literal, NamedTuple
 
-from esfem_core.checks import flag, function, items, iterable, one_of, path_of, shown, whole_number
+from esfem_core.checks import (
+    flag,
+    function,
+    items,
+    iterable,
+    mapping,
+    object_of,
+    one_of,
+    path_of,
+    shown,
+    whole_number,
+)
 from esfem_core.study.dependencies import is_of_package
 from esfem_core.study.environment import environment
 from esfem_core.study.locks import StudyWarning
@@ -134,9 +145,13 @@ def case(experiment: Experiment, parameters: Parameters) -> Row:
 
     Raises
     ------
+    TypeError
+        If an argument is none of these.
     Exception
         What the experiment's function raises.
     """
+    object_of("experiment", experiment, Experiment)
+    mapping("parameters", parameters, "values")
     return _computed(experiment.compute, parameters, code_of(experiment.compute))
 
 
@@ -145,6 +160,8 @@ def is_current(experiment: Experiment, row: Row) -> bool:
 
     Docstrings, comments and code that the experiment does not use do not count.
     """
+    object_of("experiment", experiment, Experiment)
+    object_of("row", row, Row)
     return row.code == code_of(experiment.compute)
 
 

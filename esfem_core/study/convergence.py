@@ -111,7 +111,7 @@ class ConvergenceTable:
     Raises
     ------
     TypeError, ValueError
-        If a column does not have one number for each size.
+        If a size is not positive, or a column does not have one number for each size.
 
     Examples
     --------
@@ -136,6 +136,8 @@ class ConvergenceTable:
 
     def __post_init__(self) -> None:
         sizes = finite_array("sizes", self.sizes, ("n",))
+        if np.any(sizes <= 0):
+            raise ValueError(f"sizes must be positive, got {sizes.tolist()}")
         string("parameter", self.parameter)
         errors = mapping("errors", self.errors, "one number for each size")
         columns = {
@@ -182,13 +184,13 @@ class ConvergenceTable:
             for i, row in enumerate(iterable("rows", rows, "Errors or mappings"))
         ]
         if not named:
-            raise ValueError("a table needs at least one row")
+            raise ValueError("rows must hold at least one row, got none")
         names = list(named[0])
         if any(list(row) != names for row in named):
-            raise ValueError(f"all rows must have the names {names}")
+            raise ValueError(f"rows must all have the names {names}, got others")
         return cls(
             parameter,
-            np.asarray(sizes),
+            finite_array("sizes", sizes, ("n",)),
             {name: np.array([row[name] for row in named]) for name in names},
         )
 
@@ -224,7 +226,7 @@ class ConvergenceTable:
               0.1   2.00e-02       1.00   1.00e-03       2.00
         """
         if not mapping("tables", tables, "ConvergenceTables"):
-            raise ValueError("there are no tables to join")
+            raise ValueError("tables must hold at least one table to join, got none")
         for key, table in tables.items():
             object_of(f"tables[{key!r}]", table, cls)
         one = next(iter(tables.values()))
@@ -234,6 +236,7 @@ class ConvergenceTable:
         return cls(one.parameter, one.sizes, {key: table[name] for key, table in tables.items()})
 
     def __getitem__(self, name: str) -> Array:
+        string("name", name)
         try:
             return self.errors[name]
         except KeyError:

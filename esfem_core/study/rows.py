@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import path_of, shown
+from esfem_core.checks import items, path_of, shown
 from esfem_core.study.locks import FileLocks
 
 __all__ = [
@@ -176,8 +176,8 @@ def read(path: str | Path) -> list[Row]:
     TypeError
         If it is no path.
     ValueError
-        If a line is not a row. (A last line that is the beginning of one is what a killed process
-        leaves; it is not read.)
+        If it is a folder, or a line is not a row. (A last line that is the beginning of one is what
+        a killed process leaves; it is not read.)
 
     Examples
     --------
@@ -190,6 +190,8 @@ def read(path: str | Path) -> list[Row]:
     [4, 9]
     """
     path = path_of("path", path, "a file")
+    if path.is_dir():
+        raise ValueError(f"path must be a file, but {str(path)!r} is a directory")
     rows = _parse(path, path.read_bytes())[0] if path.exists() else []
     return list({case_key(row.parameters): row for row in rows}.values())
 
@@ -217,7 +219,8 @@ def select(rows: Iterable[Row], **parameters: Any) -> list[Row]:
     """
     wanted = {name: plain(name, value) for name, value in parameters.items()}
     key = case_key(wanted)
-    return [row for row in rows if case_key({n: row.parameters.get(n) for n in wanted}) == key]
+    found = items("rows", rows, Row, 0)
+    return [row for row in found if case_key({n: row.parameters.get(n) for n in wanted}) == key]
 
 
 def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:

@@ -350,7 +350,8 @@ def rate_of_mass(
         If an argument has the wrong shape or is not finite.
     """
     object_of("space", space, SurfaceSpace)
-    rate = finite_array("rate", rate, np.shape(u))
+    u = finite_array("u", u, (len(space.nodes), "..."))
+    rate = finite_array("rate", rate, u.shape)
     return space.mass_times(x, rate) + stretching(space, x, v, u)
 
 

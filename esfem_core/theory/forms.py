@@ -443,7 +443,7 @@ def check_surface(surface: ExactSurface) -> None:
 
 
 def check_symmetric(name: str, matrix: csr_array, rounding: float | None = None) -> None:
-    """Refuse a matrix that is not symmetric, up to a rounding error of its entries.
+    """Refuse what is no symmetric matrix, up to a rounding error of its entries.
 
     Examples
     --------
@@ -452,6 +452,7 @@ def check_symmetric(name: str, matrix: csr_array, rounding: float | None = None)
         ...
     ValueError: K must be symmetric, but is not
     """
+    square_matrix(name, matrix)
     if rounding is None:
         rounding = ROUNDING * float(abs(matrix).max())
     if abs(matrix - matrix.T).max() > rounding:
@@ -468,7 +469,7 @@ def check_definite(name: str, matrix: csr_array) -> None:
         ...
     ValueError: K must be positive definite, but has the pivot 0, relative to its diagonal
     """
-    diagonal = matrix.diagonal()
+    diagonal = square_matrix(name, matrix).diagonal()
     least = float(diagonal.min())
     if least > 0:
         root = diags_array(1 / np.sqrt(diagonal))

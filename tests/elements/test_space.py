@@ -100,6 +100,24 @@ def test_methods_refuse_wrong_shapes():
         space.load(space.nodes, np.zeros((6, 32)))
 
 
+def test_a_density_is_one_number_for_each_point():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    density = space.density(space.nodes)
+    values = np.ones(density.shape)
+    wrong = {
+        r"density must have shape \(32, 6\), got \(32, 6, 1\)": density[..., None],
+        "density must hold real numbers, got bool": density > 0,
+        "density must hold real numbers, got a masked array": np.ma.masked_array(density),
+        r"density must be an array of shape \(32, 6\), got None": None,
+    }
+    for message, given in wrong.items():
+        for method in (space.load_with, space.integral_with):
+            with pytest.raises((TypeError, ValueError), match=message):
+                method(given, values)
+    with pytest.raises(ValueError, match=r"values must have shape \(32, 6, ...\), got \(6, 32\)"):
+        space.load_with(density, values.T)
+
+
 def test_the_mass_matrix_alone_is_that_of_both():
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 3, ec.to_unit_sphere)
     x = space.nodes * [1, 1.2, 0.7]

@@ -72,6 +72,14 @@ def test_what_cannot_be_combined_is_refused(coefficients, values, message):
         ec.bdf.combine(coefficients, values)
 
 
+@pytest.mark.parametrize(
+    ("coefficient", "kind"), [(np.nan, ValueError), (1j, TypeError), ("a", TypeError)]
+)
+def test_coefficients_are_finite_real_numbers(coefficient, kind):
+    with pytest.raises(kind, match=r"coefficients\[1\] must be a finite number, got "):
+        ec.bdf.combine([1.0, coefficient], [np.ones(2), np.ones(2)])
+
+
 def test_lists_and_integers_are_combined_as_arrays_of_floats_are():
     assert ec.bdf.combine([1, -1], [[3.0], [1.0]]).tolist() == [2.0]
     assert ec.bdf.combine([1, -0.5], [np.array([4]), np.array([1])]).tolist() == [3.5]

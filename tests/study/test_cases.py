@@ -535,3 +535,10 @@ def test_a_loop_that_is_left_at_the_last_case_tells_where_its_row_is(tmp_path):
         assert next(coming).row
     with pytest.warns(StudyWarning, match="1 finished rows could not be written"):
         coming.close()
+
+
+def test_a_folder_is_no_file_of_rows_and_numbers_are_no_rows(tmp_path):
+    with pytest.raises(ValueError, match=r"^path must be a file, but '.*' is a directory"):
+        read(tmp_path)
+    with pytest.raises(TypeError, match=r"^rows\[0\] must be a Row, got 1"):
+        select([1])

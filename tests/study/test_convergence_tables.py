@@ -106,10 +106,18 @@ def test_a_table_is_made_of_rows():
     np.testing.assert_array_equal(table["b"], [2, 4])
     with pytest.raises(ValueError, match=r"must have shape \(3,\), got \(2,\)"):
         ConvergenceTable.of("tau", [0.4, 0.2, 0.1], rows)
-    with pytest.raises(ValueError, match=r"all rows must have the names \['a', 'b'\]"):
+    with pytest.raises(ValueError, match=r"rows must all have the names \['a', 'b'\]"):
         ConvergenceTable.of("tau", [0.2, 0.1], [{"a": 1, "b": 2}, {"b": 4, "a": 3}])
     with pytest.raises(ValueError, match="at least one row"):
         ConvergenceTable.of("tau", [], [])
+
+
+def test_sizes_of_a_table_are_positive_and_none_is_masked():
+    for size in (-1.0, 0.0):
+        with pytest.raises(ValueError, match=r"sizes must be positive, got \[1.0, "):
+            ConvergenceTable("h", [1.0, size], {"a": [1.0, 2.0]})
+    with pytest.raises(TypeError, match="sizes must hold real numbers, got a masked array"):
+        ConvergenceTable.of("h", np.ma.masked_array([1.0, 2.0], [0, 1]), [{"a": 1}, {"a": 2}])
 
 
 def test_one_error_of_several_tables_stands_side_by_side():
@@ -125,7 +133,7 @@ def test_one_error_of_several_tables_stands_side_by_side():
     for table in (others, ConvergenceTable("h", [0.2, 0.1], {"x": [4, 1]})):
         with pytest.raises(ValueError, match="must have the same sizes, 'p = 2' has others"):
             ConvergenceTable.join({"p = 1": one, "p = 2": table}, "x")
-    with pytest.raises(ValueError, match="no tables to join"):
+    with pytest.raises(ValueError, match="tables must hold at least one table to join, got none"):
         ConvergenceTable.join({}, "x")
 
 
