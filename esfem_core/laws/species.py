@@ -213,20 +213,21 @@ class Species:
         """
         check_nodes("x", x)
         values: Any = self.initial(x.copy()) if callable(self.initial) else self.initial
+        _check_numbers(name, values)
         values = finite_array(name, values, ("...",))
         if values.ndim == 0:
             values = np.full(len(x), values)
         if values.ndim > 2 or values.shape[:1] != x.shape[:1] or values.size == 0:
             raise ValueError(
-                f"{name} must give a number or one row for each of {len(x)} nodes, shape "
+                f"{_called(name)} must give a number or one row for each of {len(x)} nodes, shape "
                 f"({len(x)},) or ({len(x)}, m); got {np.shape(values)}"
             )
         u = np.array(values)
         D: Any = self.diffusivity
         if np.ndim(D) == 1 and np.shape(D) != u.shape[1:]:
             raise ValueError(
-                f"diffusivity must have one number for each component of {name}: diffusivity has "
-                f"shape {np.shape(D)}, but {name} has "
+                f"diffusivity must have one number for each component of {_called(name)}: "
+                f"diffusivity has shape {np.shape(D)}, but {_called(name)} has "
                 f"{u.shape[1:] or 'one component, (N,)'}"
             )
         return u
@@ -288,6 +289,15 @@ class Species:
                 element,
             )
         return values
+
+
+def _called(name: str) -> str:
+    """What a message calls initial values; a species "u" may have come without the name u0."""
+    return "the initial value u0 of 'u'" if name == "u0" else name
+
+
+def _check_numbers(name: str, values: ArrayLike) -> None:
+    finite_array(_called(name), values, ("...",))
 
 
 def check_initial(name: str, value: object) -> None:

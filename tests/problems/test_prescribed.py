@@ -223,7 +223,7 @@ def test_initial_values_of_the_bat():
     np.testing.assert_array_equal(bat.initial_values(p)["u"], p[:, 0] * p[:, 1])
     np.testing.assert_array_equal(ec.problems.baseball_bat(lambda x: x).initial_values(p)["u"], p)
     with pytest.raises(
-        ValueError, match=r"u0 must give .* one row for each of 10 nodes, .*; got \(3,\)"
+        ValueError, match=r"u0 of 'u' must give .* one row for each of 10 nodes, .*; got \(3,\)"
     ):
         ec.problems.baseball_bat(np.arange(3)).initial_values(p)
     with pytest.raises(ValueError, match="problem must have an exact solution"):

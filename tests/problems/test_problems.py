@@ -285,11 +285,11 @@ def test_initial_values():
     assert u(2).tolist() == [2, 2, 2, 2]
     assert ec.Problem().initial_values(x) == {}
     np.testing.assert_array_equal(u(lambda x: x), x)
-    message = r"u0 must give a number or one row for each of 4 nodes, .*\(4,\) or \(4, m\); got "
+    message = r"u0 of 'u' must give a number or one row .*\(4,\) or \(4, m\); got "
     for values, shape in [(np.arange(3), r"\(3,\)"), (np.zeros((4, 2, 2)), r"\(4, 2, 2\)")]:
         with pytest.raises(ValueError, match=message + shape):
             u(values)
-    with pytest.raises(ValueError, match=r"u0 must be finite, but u0\[0\] is nan"):
+    with pytest.raises(ValueError, match=r"u0 of 'u' must be finite, but .* u0 of 'u'\[0\] is nan"):
         u(lambda x: np.full(len(x), np.nan))
     with pytest.raises(
         ValueError, match=r"u0 must have rows of one length, got \[\[1\], \[1, 2\]\]"
@@ -298,8 +298,11 @@ def test_initial_values():
     with pytest.raises(TypeError, match="u0 must hold real numbers, got complex128"):
         u(1j * x)
     for columns, found in [(slice(0, 3), r"\(3,\)"), (0, r"one component, \(N,\)")]:
-        with pytest.raises(ValueError, match=rf"diffusivity has shape \(2,\), but u0 has {found}"):
+        with pytest.raises(ValueError, match=rf"shape \(2,\), but the .* u0 of 'u' has {found}"):
             u(x[:, columns], diffusivity=np.ones(2))
+    one = ec.Problem(species={"u": ec.Species(lambda x: np.ones(5))})
+    with pytest.raises(ValueError, match=r"^the initial value u0 of 'u' must give a number or"):
+        one.initial_values(x)
     two = ec.Problem(species={"c": ec.Species(np.arange(3))})
     with pytest.raises(ValueError, match="the initial value of 'c' must give a number or one row"):
         two.initial_values(x)
