@@ -112,6 +112,7 @@ class State:
             {name: real_array(f"products[{name!r}]", w, (n, "...")) for name, w in kept.items()},
             None if method is None else _checked_method(method),
         )
+        _check_components(self.fields)
 
     @classmethod
     def of_checked(
@@ -181,6 +182,13 @@ class State:
     def surface(self) -> Surface:
         """Return the surface with all functions on it, for integrals and pictures."""
         return Surface(known_space(self), self.x, self.fields, self.t)
+
+
+def _check_components(fields: Mapping[str, Array]) -> None:
+    """Refuse functions without components: what is written of them cannot be read again."""
+    for name, values in fields.items():
+        if 0 in values.shape[1:]:
+            raise ValueError(f"{name} must have at least one component, got shape {values.shape}")
 
 
 def _checked_method(method: object) -> Method:

@@ -194,6 +194,7 @@ def test_its_surface_has_all_functions():
         ({"v": X[:, 0]}, ValueError, r"v must have shape \(66, 3\), got \(66,\)"),
         ({"v": 1j * X}, TypeError, "v must hold real numbers, got complex128"),
         ({"u": 1.0}, ValueError, r"u must have shape \(66, \.\.\.\), got \(\)"),
+        ({"u": X[:, :0]}, ValueError, r"u must have at least one component, got shape \(66, 0\)"),
         ({"fields": {"w": ["a"]}}, TypeError, "w must hold real numbers, got <U1"),
         (
             {"products": {"w": 2.0}},
