@@ -146,16 +146,17 @@ class Fixed:
         FloatingPointError
             If a value is not finite.
         """
-        shape = (len(x), *trailing)
-        values = self.values(x.copy(), t) if callable(self.values) else self.values
-        if np.isscalar(values):
+        called, shape = f"fixed of {name!r}", (len(x), *trailing)
+        given = self.values(x.copy(), t) if callable(self.values) else self.values
+        values = real_array(called, given, ("...",))
+        if values.ndim == 0:
             values = np.full(shape, values)
-        values = real_array(f"fixed of {name!r}", values, shape)
+        values = real_array(called, values, shape)
         if not np.isfinite(values).all():
             node = int(np.argmin(np.isfinite(values).reshape(len(x), -1).all(axis=1)))
             where = np.array2string(x[node], precision=4)
             raise FloatingPointError(
-                f"fixed of {name!r} must be finite, but is not at {where} at t = {t:.6g}"
+                f"{called} must be finite, but is not at {where} at t = {t:.6g}"
             )
         return values
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, shown
+from esfem_core.checks import Array, real_array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species, finite_nodal, positions_of, same_species
 from esfem_core.problems import Problem
@@ -269,10 +269,11 @@ class Scheme:
                 )
         found = {}
         for name, vector in given.items():
-            shape = known[name]
-            if isinstance(vector, int | float):  # a constant
-                vector = np.full(shape, vector)
-            found[name] = finite_nodal(f"perturbation({n})[{name!r}]", vector, shape)
+            called, shape = f"perturbation({n})[{name!r}]", known[name]
+            values = real_array(called, vector, ("...",))
+            if values.ndim == 0:  # a constant
+                values = np.full(shape, values)
+            found[name] = finite_nodal(called, values, shape)
         return found
 
 

@@ -1,6 +1,7 @@
 """Runs on surfaces with a boundary: natural conditions, and values that are given at nodes."""
 
 import dataclasses
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -76,6 +77,12 @@ class TestGivenValues:
     def test_a_constant_that_fits_is_the_solution(self):
         last = run(hemisphere(2, 2), on(ec.Species(3.0, conserved=False, fixed=3)))
         np.testing.assert_allclose(last.u, 3, rtol=1e-10)
+
+    @pytest.mark.parametrize("number", [np.float32(0.25), np.array(0.25), Fraction(1, 4)])
+    def test_a_constant_is_a_number_of_any_library(self, number):
+        for fixed in (number, lambda x, t: number):
+            u = run(hemisphere(0), on(ec.Species(0.0, fixed=fixed)), order=1).u
+            np.testing.assert_array_equal(u[hemisphere(0).boundary_nodes], 0.25)
 
     def test_what_passes_the_boundary_changes_the_amount(self):
         space = hemisphere(2)

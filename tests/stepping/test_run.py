@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from fractions import Fraction
 from itertools import islice
 
 import numpy as np
@@ -70,6 +71,15 @@ def test_perturbations_are_right_hand_sides_of_the_printed_equations():
     np.testing.assert_allclose(state.v, ones * v, rtol=1e-12)
     np.testing.assert_allclose(state.x, SPACE.nodes + 0.2 * (v + r_x), atol=1e-13)
     np.testing.assert_allclose(state.u, 1 + 0.2 * rate, rtol=1e-12)
+
+
+@pytest.mark.parametrize("number", [np.float32(0.25), np.array(0.25), Fraction(1, 4)])
+def test_a_constant_perturbation_is_a_number_of_any_library(number):
+    def last(constant):
+        return final(ec.evolve(SPACE, wobble(), 1, 0.1, 0.2, perturbation=lambda n: [constant] * 3))
+
+    for name in ("x", "u"):
+        np.testing.assert_array_equal(getattr(last(number), name), getattr(last(0.25), name))
 
 
 @pytest.mark.parametrize("p", [1, 2, 3, 4, 5])
