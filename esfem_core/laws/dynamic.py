@@ -91,8 +91,8 @@ class Dynamic(Law):
     g: Callable[[Surface], Array] | None = None
 
     def __post_init__(self) -> None:
-        number("alpha", self.alpha, least=0)
-        number("beta", self.beta, least=0)
+        object.__setattr__(self, "alpha", number("alpha", self.alpha, least=0))
+        object.__setattr__(self, "beta", number("beta", self.beta, least=0))
         if not callable(self.v0):
             v0 = finite_array("v0", self.v0, ("...",))
             if v0.size != 1 and (v0.ndim > 2 or v0.shape[-1:] != (3,)):

@@ -101,7 +101,7 @@ class MeanCurvature(Law):
     forcing: Callable[[Surface], Array | None] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        number("beta", self.beta, above=0)
+        object.__setattr__(self, "beta", number("beta", self.beta, above=0))
         if self.g is not None:
             _takes_points(function("g", self.g, "g(at) or g(x, t), or None"))
         for name, shape in (("normal", ("N", 3)), ("curvature", ("N",))):

@@ -53,8 +53,8 @@ class Regularised(Law):
     g: Callable[[Surface], Array] | None = None
 
     def __post_init__(self) -> None:
-        number("alpha", self.alpha, least=0)
-        number("beta", self.beta, least=0)
+        object.__setattr__(self, "alpha", number("alpha", self.alpha, least=0))
+        object.__setattr__(self, "beta", number("beta", self.beta, least=0))
         if self.g is not None:
             function("g", self.g, "of a Surface or None")
 

@@ -165,11 +165,12 @@ class Species:
         if self.source is not None:
             function("source", self.source, "of a Surface or None")
         if self.rate is not None and not callable(self.rate):
-            number("rate", self.rate, least=0)
+            object.__setattr__(self, "rate", number("rate", self.rate, least=0))
         check_even("diffusivity", self.diffusivity)
         if not callable(self.diffusivity):
             if np.ndim(self.diffusivity) == 0:
-                number("diffusivity", self.diffusivity, least=0)
+                D = number("diffusivity", self.diffusivity, least=0)
+                object.__setattr__(self, "diffusivity", D)
             else:
                 if np.ndim(self.diffusivity) > 1:
                     raise ValueError(

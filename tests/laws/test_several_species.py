@@ -1,5 +1,7 @@
 """Several species, or none: what they share, and the amounts that are kept."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -118,6 +120,20 @@ def test_a_number_is_a_constant_initial_value():
         function = ec.Problem(lambda x: np.full(len(x), 2.0), law=law())
         same = final(ec.evolve(SPACE, function, 2, 0.05, 0.2))
         np.testing.assert_array_equal(number.u, same.u)
+
+
+@pytest.mark.parametrize("number", [Fraction(1, 4), np.array(0.25), np.float32(0.25)])
+def test_coefficients_are_numbers_of_any_library(number):
+    def last(a):
+        species = ec.Species(lambda x: 1 + x[:, 0], rate=a, diffusivity=a)
+        carried = ec.Problem(species={"u": species}, law=ec.laws.Regularised(a, a))
+        others = (ec.laws.Dynamic(a, a, a), ec.laws.MeanCurvature(a))
+        problems = (carried, *(ec.Problem(species={}, law=law) for law in others))
+        return [final(ec.evolve(SPACE, problem, 1, 0.01, 0.02)) for problem in problems]
+
+    for found, expected in zip(last(number), last(0.25), strict=True):
+        for name, w in {"x": expected.x, **expected.fields}.items():
+            np.testing.assert_array_equal({"x": found.x, **found.fields}[name], w)
 
 
 def test_a_species_of_a_problem_without_initial_values_is_refused():
