@@ -35,7 +35,8 @@ _ORBITS: dict[int, tuple[tuple[float, ...], ...]] = {
 }
 
 
-MOST_EXACTNESS = 100  # of a product of Gauss rules with 2,601 points
+# Odd, as the exactness of a product rule is: what a rule states can always be asked for again.
+MOST_EXACTNESS = 101  # of a product of Gauss rules with 2,601 points
 
 
 class TriangleRule(NamedTuple):
@@ -64,7 +65,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
     Parameters
     ----------
     exactness : int
-        Polynomial degree, 0 to 100.
+        Polynomial degree, 0 to 101.
 
     Returns
     -------
@@ -74,7 +75,7 @@ def triangle_rule(exactness: int) -> TriangleRule:
     Raises
     ------
     ValueError, TypeError
-        If `exactness` is not one of 0, ..., 100.
+        If `exactness` is not one of 0, ..., 101.
 
     Examples
     --------

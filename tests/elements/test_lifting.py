@@ -202,7 +202,7 @@ def test_without_an_exact_solution_or_its_closest_points_there_is_no_lifted_erro
             r"values of closest must have shape \(96, 3\), got \(96,\)",
         ),
         ({"function": lambda y: y}, r"values of function must have shape \(96, 1\), got \(96, 3\)"),
-        ({"exactness": 2.5}, "exactness must be an integer from 0 to 100, got 2.5"),
+        ({"exactness": 2.5}, "exactness must be an integer from 0 to 101, got 2.5"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_by_name(change, message):

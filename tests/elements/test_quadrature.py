@@ -46,7 +46,14 @@ def test_stated_exactness_is_not_understated(degree):
     assert worst > 1e-8
 
 
-@pytest.mark.parametrize("exactness", [-1, 2.5])
+@pytest.mark.parametrize("exactness", range(102))
+def test_what_a_rule_states_can_be_asked_for(exactness):
+    """As files and new triangles do, to have the rule of their space."""
+    rule = triangle_rule(exactness)
+    assert len(triangle_rule(rule.exactness).weights) == len(rule.weights)
+
+
+@pytest.mark.parametrize("exactness", [-1, 2.5, 102])
 def test_refuses(exactness):
-    with pytest.raises(ValueError, match="exactness must be an integer from 0 to 100"):
+    with pytest.raises(ValueError, match="exactness must be an integer from 0 to 101"):
         triangle_rule(exactness)

@@ -73,7 +73,7 @@ TRI = ec.sphere("octahedron", 1)
     [
         ({"degree": 0}, "degree must be an integer from 1 to 12, got 0"),
         ({"degree": 1.5}, "degree must be an integer from 1 to 12, got 1.5"),
-        ({"degree": 2, "exactness": -1}, "exactness must be an integer from 0 to 100"),
+        ({"degree": 2, "exactness": -1}, "exactness must be an integer from 0 to 101"),
         (
             {"degree": 2, "project": lambda p: p[:2]},
             r"project\(points\) must have shape \(48, 3\), got \(2, 3\)",
@@ -85,6 +85,18 @@ TRI = ec.sphere("octahedron", 1)
 def test_space_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
         ec.SurfaceSpace(TRI, **arguments)
+
+
+@pytest.mark.parametrize("degree", range(1, 13))
+def test_an_exactness_is_accepted_from_the_one_on_that_messages_name(degree):
+    tri, refused = ec.sphere("octahedron", 0), degree - 1
+    with pytest.raises(ValueError, match="or more for elements of degree") as info:
+        ec.SurfaceSpace(tri, degree, exactness=refused)
+    least = int(str(info.value).split()[3])
+    for exactness in (least, 100, 101) if degree < 3 else (least,):
+        assert ec.SurfaceSpace(tri, degree, exactness=exactness).rule.exactness >= exactness
+    with pytest.raises(ValueError, match=f"exactness must be {least} or more"):
+        ec.SurfaceSpace(tri, degree, exactness=least - 1)
 
 
 def test_methods_refuse_wrong_shapes():
