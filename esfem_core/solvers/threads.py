@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from multiprocessing import parent_process
 from threading import Lock, current_thread, main_thread
@@ -201,9 +201,14 @@ class _Blas:
 _blas = _Blas()
 
 
-@cache
 def _blas_pools() -> Any:
     """What can hold BLAS back; None where threadpoolctl is not installed."""
+    return _blas_pools_with(len(sys.modules))
+
+
+@lru_cache(maxsize=1)
+def _blas_pools_with(_: int) -> Any:
+    """The same, looked for again with every number of modules: one may have loaded another BLAS."""
     try:
         return import_module("threadpoolctl").ThreadpoolController().select(user_api="blas")
     except ImportError:

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_info, threadpool_limits
 
 import esfem_core as ec
 from esfem_core.solvers import products, side_by_side, thread_count, threads, times, using_threads
@@ -100,7 +101,6 @@ class TestBlas:
 
     @pytest.fixture(autouse=True)
     def two_threads(self):
-        threads._blas_pools.cache_clear()  # other tests may have loaded another library since
         with threadpool_limits(2, user_api="blas"):
             yield
 
@@ -120,6 +120,21 @@ class TestBlas:
         monkeypatch.setenv("OMP_NUM_THREADS", "2")
         assert side_by_side(lambda _: self.counts(), range(2)) == [{1}, {1}]
         assert self.counts() == {2}
+
+    def test_libraries_that_are_loaded_after_a_run_are_held_as_well(self, monkeypatch):
+        class Controller(ThreadpoolController):
+            def limit(self, *, limits):
+                held.append(limits)
+                return super().limit(limits=limits)
+
+        held = []
+        with using_threads(1):
+            pass
+        with monkeypatch.context() as later:
+            later.setattr("threadpoolctl.ThreadpoolController", Controller)
+            later.setitem(sys.modules, "a module that loads a library", threads)
+            with using_threads(1):
+                assert held == [1]
 
     def test_until_the_last_of_several_callers_is_done(self):
         first, second = using_threads(1), using_threads(1)
