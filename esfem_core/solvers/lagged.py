@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, function, number, real_array, whole_number
+from esfem_core.checks import Array, Ints, function, number, real_array, whole_number
 from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
@@ -22,6 +22,7 @@ from esfem_core.solvers.systems import LEFT, check_is_solved, right_hand_side, s
 __all__ = ["LaggedSolver"]
 
 LARGEST = 1e150  # of a number whose square can be added up
+FAR = 1e100  # above it, and below its inverse, products of residuals may leave the range of numbers
 
 
 class LaggedSolver:
@@ -111,20 +112,22 @@ class LaggedSolver:
             `A` itself, at last with that by SuperLU; or if rounding level is so high, since `A` is
             singular, that it leaves `b` nearly as large as it was.
         FloatingPointError
-            If the norm of a right-hand side is not finite.
+            If a right-hand side is not finite.
         """
         b = right_hand_side(square(A), b)
         if b.size == 0:
             raise ValueError(f"b must have one column or more, got shape {b.shape}")
+        guess = real_array("guess", guess, b.shape)
         rows = np.ascontiguousarray(b.reshape(len(b), -1).T)
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", under="ignore"):
             squares = np.vecdot(rows, rows)
-        if not np.isfinite(squares).all():
-            raise FloatingPointError(
-                "b must be finite and below 1e150, but the right-hand side of a linear system has "
-                f"entries of {np.abs(rows).max():.3g}"
-            )
-        x = np.array(real_array("guess", guess, b.shape).reshape(len(b), -1).T, order="C")
+        if not ((squares > FAR**-2) & (squares < FAR**2)).all():
+            power = _to_one(b)
+            if power.any():
+                with np.errstate(over="ignore"):
+                    guess = np.ldexp(guess, power)
+                return np.ldexp(self.solve(A, np.ldexp(b, power), guess), -power)
+        x = np.array(guess.reshape(len(b), -1).T, order="C")
         x[squares == 0] = 0.0
         allowed = tolerance(A, squares, self.rtol)
 
@@ -145,7 +148,7 @@ class LaggedSolver:
             raise np.linalg.LinAlgError(
                 f"no solution to a relative residual of {self.rtol:g} in price = {self.price} "
                 "iterations with a new factorisation, the last one by SuperLU: "
-                f"{_why_not(A, real_array('guess', guess, b.shape))}"
+                f"{_why_not(A)}"
             )
         _check_rounding(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)
@@ -181,15 +184,26 @@ def _check_rounding(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> Non
         check_is_solved(b[loose].T, r[loose].T)
 
 
-def _why_not(A: csr_array, guess: Array) -> str:
-    """What may be wrong with a system that was not solved."""
-    for name, numbers in (("A", A.data), ("guess", guess)):
-        largest = np.abs(numbers).max()
-        if largest > LARGEST:
-            return (
-                f"the numbers of {name} must be at most {LARGEST:g}, so that their squares can be "
-                f"added up, got {largest:.2g}"
-            )
+def _to_one(b: Array) -> Ints:
+    """Exponents of powers of two that bring those columns of b near one that are far from it."""
+    largest = np.abs(b).max(axis=0)
+    if not np.isfinite(largest).all():
+        raise FloatingPointError(
+            "b must be finite, but the right-hand side of a linear system is not finite"
+        )
+    near = (largest > 1 / FAR) & (largest < FAR)
+    exponents: Ints = np.where(near, 0, -np.frexp(largest)[1])  # 0 for a column of zeros
+    return exponents
+
+
+def _why_not(A: csr_array) -> str:
+    """What may be wrong with a matrix of a system that was not solved."""
+    largest = np.abs(A.data).max()
+    if largest > LARGEST:
+        return (
+            f"the numbers of A must be at most {LARGEST:g}, so that their squares can be added up, "
+            f"got {largest:.2g}"
+        )
     return (
         "A must be symmetric and positive definite, but is not, or is so in more digits than there "
         "are"

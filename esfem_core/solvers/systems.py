@@ -10,6 +10,7 @@ __all__ = ["check_is_solved", "check_residual", "right_hand_side", "square"]
 
 RESIDUAL = 1e-9  # relative to what rounding is relative to; a good factorisation gives 1e-15
 LEFT = 0.1  # share of b that a residual leaves where x has not one right digit
+TINY = np.finfo(float).tiny  # numbers below it have fewer digits
 NOISE = 1e-12  # sum of a residual where b may be zero but for rounding: that is in no range
 
 
@@ -94,7 +95,7 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
         allowed = sizes.max(initial=0.0) * np.abs(x).max(initial=0.0) + np.abs(b).max(initial=0.0)
         r = b - A @ x
         found = np.abs(r).max(initial=0.0)
-        share = found / allowed if found else 0.0
+        share = found / allowed if found > TINY else 0.0
     if not share <= RESIDUAL:
         raise np.linalg.LinAlgError(
             f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A "

@@ -132,8 +132,19 @@ def test_sums_are_exact():
         np.testing.assert_allclose((A @ x).sum(axis=0), b.sum(axis=0), rtol=1e-14)
 
 
-def test_a_right_hand_side_whose_norm_overflows_is_refused():
-    b = np.full(len(SPACE.nodes), 1e200)
+@pytest.mark.parametrize("size", [1e-300, 1e-170, 1e-120, 1e120, 1e200, 1e300])
+def test_right_hand_sides_may_have_any_size(size):
+    """Also beside one of another size, and where their squares are no numbers."""
+    rng = np.random.default_rng(0)
+    A, b = system(1), rng.standard_normal((len(SPACE.nodes), 3)) * [1.0, 1.0, 0.0]
+    expected = LaggedSolver().solve(A, b, np.zeros_like(b))
+    x = LaggedSolver().solve(A, b * [size, 1.0, 1.0], np.ones_like(b))
+    np.testing.assert_allclose(x / [size, 1.0, 1.0], expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_right_hand_side_that_is_not_finite_is_refused(bad):
+    b = np.full(len(SPACE.nodes), bad)
     with pytest.raises(FloatingPointError, match="right-hand side of a linear system"):
         LaggedSolver().solve(system(1), b, np.zeros_like(b))
 

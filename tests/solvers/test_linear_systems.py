@@ -121,13 +121,7 @@ def test_no_right_hand_side_at_all_is_refused():
         LaggedSolver().solve(M, np.zeros((N, 0)), np.zeros((N, 0)))
 
 
-@pytest.mark.parametrize(
-    ("size", "guess", "message"),
-    [
-        (1e200, 0.0, "the numbers of A must be at most 1e.150, so that .* got .*e.200"),
-        (1.0, 1e300, "the numbers of guess must be at most 1e.150, so that .* got 1e.300"),
-    ],
-)
-def test_numbers_whose_squares_are_infinite_are_not_blamed_on_definiteness(size, guess, message):
+def test_a_matrix_whose_squares_are_infinite_is_not_blamed_on_definiteness():
+    message = "the numbers of A must be at most 1e.150, so that .* got .*e.200"
     with pytest.raises(np.linalg.LinAlgError, match=message), np.errstate(all="ignore"):
-        LaggedSolver().solve(size * (M + A), np.ones(N), np.full(N, guess))
+        LaggedSolver().solve(1e200 * (M + A), np.ones(N), np.zeros(N))
