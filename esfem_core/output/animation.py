@@ -13,10 +13,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from esfem_core.checks import iterable, output_path, string, whole_number
+from esfem_core.checks import iterable, output_path, whole_number
 from esfem_core.output.pictures import (
     Values,
     check_formulas,
+    check_text,
     colour_range,
     cube,
     draw,
@@ -92,9 +93,8 @@ def animate(
     is_film = file is not None and file.suffix.lower() != ".html"
     load_matplotlib() if is_film else load_viewer()
     duration = whole_number("duration", duration, 1, LONGEST)
-    string("title", title)
-    if label is not None:
-        string("label", label)
+    check_text("title", title)
+    check_text("label", "" if label is None else label)
     colour_range([], limits)
     if file is not None and is_film:
         check_formulas("title", title)

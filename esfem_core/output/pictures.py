@@ -113,6 +113,22 @@ def plot(
     return ax
 
 
+def check_text(name: str, text: str) -> None:
+    r"""Refuse what is no text: half a character is neither drawn nor written to a file.
+
+    Examples
+    --------
+    >>> check_text("title", "\ud83d")
+    Traceback (most recent call last):
+        ...
+    ValueError: title must be text of whole characters, got '\ud83d'
+    """
+    try:
+        string(name, text).encode()
+    except UnicodeEncodeError:
+        raise ValueError(f"{name} must be text of whole characters, got {shown(text)}") from None
+
+
 def check_formulas(name: str, text: str) -> None:
     r"""Refuse text whose formulas matplotlib cannot set, before anything is drawn.
 
@@ -127,8 +143,9 @@ def check_formulas(name: str, text: str) -> None:
     load_matplotlib()
     from matplotlib.figure import Figure
 
+    check_text(name, text)
     figure = Figure()
-    figure.text(0, 0, string(name, text))
+    figure.text(0, 0, text)
     try:
         figure.get_tightbbox()
     except ValueError:

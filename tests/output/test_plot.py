@@ -142,6 +142,20 @@ def test_formulas_that_cannot_be_set_are_refused_before_anything_is_drawn(ax, tm
     ec.plot(state(), ax=ax, **{name: r"5 $ a night, $\frac{1}{2}$"})
 
 
+@pytest.mark.parametrize("name", ["title", "label"])
+def test_half_a_character_is_refused_before_a_state_is_computed(ax, tmp_path, name):
+    def states():
+        raise AssertionError("computed")
+        yield
+
+    message = rf"{name} must be text of whole characters, got '\\ud800'"
+    with pytest.raises(ValueError, match=message):
+        ec.plot(state(), ax=ax, **{name: "\ud800"})
+    for path in (None, tmp_path / "film.html", tmp_path / "film.gif"):
+        with pytest.raises(ValueError, match=message):
+            ec.animate(states(), path, **{name: "\ud800"})
+
+
 def test_animate_returns_the_page_with_a_slider(monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     shown = ec.animate((state(t=t) for t in (0.0, 0.5)), title="Growth")
