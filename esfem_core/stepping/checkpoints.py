@@ -8,6 +8,7 @@ problem, the order and the step are given again to :func:`esfem_core.evolve`.
 import inspect
 import io
 import json
+import math
 import os
 import warnings
 import zipfile
@@ -121,7 +122,7 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
         raise ValueError(
             f"{str(path)!r} is damaged, or was not written by esfem_core.save: {error}"
         ) from error
-    if version != VERSION:
+    if type(version) is not int or version != VERSION:
         raise ValueError(
             f"{str(path)!r} has version {version} of the format, this is esfem_core for version "
             f"{VERSION}: read it with the esfem_core that wrote it"
@@ -269,20 +270,31 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and arrays, each read to its end and its checksum."""
     with zipfile.ZipFile(path) as file:
         members = {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
-    arrays = {
-        name: np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-        for name, data in members.items()
-    }
+    arrays = {name: _array(name, data) for name, data in members.items()}
     header = json.loads(str(arrays.pop("header")))
     return header, arrays
 
 
+def _array(name: str, data: bytes) -> Any:
+    """The array of a file .npy; room is made for what is there, not for what it says."""
+    file = io.BytesIO(data)
+    if np.lib.format.read_magic(file) == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+        said, there = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
+        if said != there and not dtype.hasobject:
+            raise ValueError(f"array {name} should have {said} bytes, but has {there}")
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+
+
 def _rebuilt(header: dict[str, Any], arrays: dict[str, Any]) -> tuple[SurfaceSpace, list[State]]:
     """Space and states, checked like those of a user."""
+    if unlike := sorted(arrays.keys() ^ header["shapes"].keys()):
+        how = "not in its list" if unlike[0] in arrays else "missing"
+        raise ValueError(f"array {unlike[0]} is {how}")
     for name, shape in header["shapes"].items():
-        found = arrays[name]
-        kind = "i" if name == "cells" else "f"
-        if found.dtype.kind != kind or list(found.shape) != shape:
+        found, kind = arrays[name], np.int64 if name == "cells" else np.float64
+        # Of either order of bytes: machines differ in that.
+        if found.dtype.newbyteorder("=") != kind or list(found.shape) != shape:
             raise ValueError(f"{name} has type {found.dtype} and shape {found.shape}, not {shape}")
     space = SurfaceSpace.from_nodes(
         arrays["nodes"],

@@ -373,6 +373,14 @@ def drop(header, arrays):
     del arrays["1/fields/0"]
 
 
+def add(header, arrays):
+    arrays["2/x"] = arrays["1/x"]
+
+
+def halve(header, arrays):
+    arrays["0/x"] = arrays["0/x"].astype(np.float32)
+
+
 def shorten(header, arrays):
     arrays["1/x"] = arrays["1/x"][:-1]
 
@@ -414,7 +422,9 @@ def list_shapes(header, arrays):
     ("change", "message"),
     [
         (list_shapes, "'list' object has no attribute"),
-        (drop, "1/fields/0"),
+        (drop, "array 1/fields/0 is missing"),
+        (add, "array 2/x is not in its list"),
+        (halve, "0/x has type float32"),
         (shorten, r"1/x has type float64 and shape \(65, 3\)"),
         (change_type, "0/x has type complex128"),
         (tear, "element 0 does not have the nodes of its neighbours|neighbours must share"),
@@ -434,8 +444,33 @@ def test_what_does_not_fit_together_is_refused(tmp_path, change, message):
 
 def test_a_later_version_is_told_from_damage(tmp_path):
     path, _ = saved(tmp_path)
-    rewritten(path, lambda header, arrays: header.update(version=2))
-    with pytest.raises(ValueError, match="has version 2 of the format"):
+    for version in (2, True):
+        rewritten(path, lambda header, arrays, v=version: header.update(version=v))
+        with pytest.raises(ValueError, match=f"has version {version} of the format"):
+            ec.load(path)
+
+
+def test_the_other_order_of_bytes_is_read(tmp_path):
+    path, states = saved(tmp_path)
+
+    def turn(header, arrays):
+        arrays.update({n: a.astype(a.dtype.newbyteorder("S")) for n, a in arrays.items()})
+
+    rewritten(path, turn)
+    for one, other in zip(ec.load(path)[1], states, strict=True):
+        same(one, other)
+
+
+def test_no_room_is_made_for_more_than_a_file_holds(tmp_path):
+    path, _ = saved(tmp_path)
+    with zipfile.ZipFile(path) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    head, tail = members["0/x.npy"].split(b"(66, 3), }" + 9 * b" ")
+    members["0/x.npy"] = head + b"(66000000000, 3), }" + tail
+    with zipfile.ZipFile(path, "w") as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+    with pytest.raises(ValueError, match="array 0/x should have 1584000000000 bytes, but has 1584"):
         ec.load(path)
 
 
