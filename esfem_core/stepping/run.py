@@ -58,6 +58,7 @@ __all__ = ["MASSES", "evolve"]
 SolverName = Literal["lagged", "cholmod", "direct"]
 StartName = Literal["exact", "euler"]
 MASSES: tuple[Mass, ...] = get_args(Mass)
+EVERY = 50  # steps from save to save if `every` is not given: its default
 
 
 def evolve(
@@ -162,7 +163,7 @@ def evolve(
         see :func:`esfem_core.save`. ``space, states = esfem_core.load(path)`` and ``start=states``
         go on from there.
     every : int
-        Steps from save to save.
+        Steps from save to save; only with `save`.
     threads : int, optional
         How many share the work of a step; the states are the same to the last bit. Default: what
         :func:`esfem_core.solvers.threads.thread_count` says: with the extra ``fast`` one for each
@@ -223,6 +224,8 @@ def evolve(
     every = whole_number("every", every, 1)
     if threads is not None:
         threads = whole_number("threads", threads, 1, MOST_THREADS)
+    if save is None and every != EVERY:
+        raise ValueError(f"every needs a file to save to, got every={every} without save=path")
     file = None if save is None else output_path("save", save, (".npz",))
     make_solver = _solver_factory(space, solver)
     given = _checked_start(space, problem, start, order, step)

@@ -1,5 +1,6 @@
 """Saved runs go on bit for bit; damaged files are refused."""
 
+import inspect
 import json
 import os
 import re
@@ -268,6 +269,13 @@ def test_a_full_disk_leaves_the_older_file_whole(tmp_path):
         ec.save(path, states)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["run.npz"]
+
+
+def test_every_without_a_file_to_save_to_is_refused():
+    with pytest.raises(ValueError, match="every needs a file to save to, got every=5 without save"):
+        ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, every=5)
+    default = inspect.signature(ec.evolve).parameters["every"].default
+    assert next(ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, every=default)).t == 0
 
 
 def test_a_run_outlives_a_full_disk_and_says_how_to_go_on(tmp_path):
