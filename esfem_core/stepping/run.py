@@ -15,6 +15,7 @@ import numpy as np
 from esfem_core.checks import (
     flag,
     function,
+    items,
     number,
     object_of,
     one_of,
@@ -361,10 +362,8 @@ def _checked_start(
         raise TypeError(
             f'start must be "exact", "euler" or a sequence of states, got {shown(start)}'
         )
-    if others := [state for state in start if not isinstance(state, State)]:
-        raise TypeError(f"start must hold states, as evolve yields them, got {shown(others[0])}")
-    states = [state for state in start if isinstance(state, State)]
-    if len(states) < max(order, len(start)):
+    states = items("start", start, State, least=0)
+    if len(states) < order:
         raise ValueError(f"start must hold p = {order} states or more, got {len(states)}")
     states = states[-order:]
     for i, state in enumerate(states):

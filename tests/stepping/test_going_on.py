@@ -194,7 +194,7 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
         (
             lambda s: [s[0], 1.0],
             TypeError,
-            r"start must hold states, as evolve yields them, got 1\.0",
+            r"start\[1\] must be a State, got 1\.0",
         ),
         (lambda s: (SPACE, s), TypeError, r"pair .*: space, states = esfem_core\.load\(path\), t"),
         (lambda s: s[1::-1], ValueError, r"a step of 0\.0333333 apart, got times \[0\.03"),

@@ -298,7 +298,7 @@ WRONG_TYPES = [
     ({"order": True}, "order must be an integer from 1 to 100, got True"),
     ({"step": None}, "step must be a finite number > 0, got None"),
     ({"start": 3}, 'start must be "exact", "euler" or a sequence of states, got 3'),
-    ({"start": [1, 2]}, "start must hold states, as evolve yields them, got 1"),
+    ({"start": [1, 2]}, r"start\[0\] must be a State, got 1"),
     ({"space": ec.sphere("octahedron", 1)}, "space must be a SurfaceSpace, got <trimesh"),
     ({"problem": lambda x: x}, "problem must be a Problem, got <function"),
 ]
