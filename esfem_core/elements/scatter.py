@@ -220,5 +220,6 @@ class NodalSum:
 
     def __call__(self, entries: Array) -> Array:
         """Sum m vectors of element entries, (m, n, T), into an (N, m) array."""
-        sums: Array = times_rows(self._gather, entries.reshape(len(entries), -1)).T
+        rows = entries.reshape(len(entries), self._gather.shape[1])
+        sums: Array = times_rows(self._gather, rows).T
         return np.ascontiguousarray(sums)

@@ -589,7 +589,7 @@ class SurfaceSpace:
 
     def sum_loads(self, entries: Array, trailing: tuple[int, ...]) -> Array:
         """Sum element entries (m, n, T) into nodal vectors (N, ...)."""
-        return self._sum(entries).reshape(-1, *trailing)
+        return self._sum(entries).reshape(len(self.nodes), *trailing)
 
     def evaluate(self, u: Array) -> Array:
         """Values of a finite element function at the quadrature points.

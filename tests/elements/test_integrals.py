@@ -144,7 +144,7 @@ def test_no_matrix_can_change_the_pattern_of_the_others(space):
     assert before.nnz == space.pattern.nnz - 1
 
 
-@pytest.mark.parametrize("trailing", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("trailing", [(), (3,), (2, 3), (0,), (2, 0)])
 def test_load_is_the_integral_against_the_basis(space, trailing):
     """With nodal functions for values, load(evaluate(u)) = M u, for every component."""
     rng = np.random.default_rng(0)
