@@ -79,6 +79,25 @@ def test_the_same_input_gives_the_same_mesh():
     assert np.array_equal(first.faces, second.faces)
 
 
+def test_functions_may_write_into_the_points_that_they_are_given():
+    """Also if they leave single points alone."""
+
+    def spoilt(values):
+        def function(x):
+            returned = values(x)
+            x *= 2 - (len(x) == 1)
+            return returned
+
+        return function
+
+    def gradient(x):
+        return 2 * x
+
+    tri = ec.from_level_set(unit_sphere, BOX, 0.5, gradient)
+    same = ec.from_level_set(spoilt(unit_sphere), BOX, 0.5, spoilt(gradient))
+    np.testing.assert_array_equal(tri.vertices, same.vertices)
+
+
 def test_with_a_gradient_and_away_from_the_origin():
     centre = np.array([30.0, -20.0, 10.0])
     tri = ec.from_level_set(
@@ -158,14 +177,6 @@ REFUSED = {
     "d smallest": ((lambda x: 1e-320 * unit_sphere(x), BOX, 0.5), "gradient of d must not vanish"),
     "box large": ((unit_sphere, 1e80 * np.array(BOX), 1e80), r"bounds must be up to 1e\+35"),
     "box small": ((unit_sphere, 1e-80 * np.array(BOX), 1e-80), "1e-35 or more apart"),
-    "d that moves points": (
-        (lambda x: unit_sphere(np.subtract(x, 0.1, out=x)), BOX, 0.5),
-        r"d must not change the points that it is given, but has made \[\[.*x = x - a makes new",
-    ),
-    "gradient that moves points": (
-        (unit_sphere, BOX, 0.5, lambda x: np.multiply(x, 2, out=x)),
-        "gradient must not change the points that it is given",
-    ),
     "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "the surface has a crease there"),
 }
 
