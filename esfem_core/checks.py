@@ -177,8 +177,8 @@ def _real(value: object) -> int | float | None:
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        return None
+    if isinstance(value, bool | np.bool_ | np.timedelta64) or not isinstance(value, Real):
+        return None  # a time span passes for an integer with NumPy, in whatever unit it is
     try:
         return int(value) if isinstance(value, Integral) else float(value)
     except OverflowError:

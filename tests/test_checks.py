@@ -41,6 +41,19 @@ def test_what_is_no_number_is_refused_by_name(value):
         number("step", value, above=0)
 
 
+@pytest.mark.parametrize("unit", ["generic", "ns", "s", "D"])
+def test_a_time_span_is_no_number(unit):
+    span = np.timedelta64(1) if unit == "generic" else np.timedelta64(1, unit)
+    for value in (span, np.array(span)):
+        with pytest.raises(TypeError, match=r"order must be an integer >= 1, got "):
+            whole_number("order", value, 1)
+        with pytest.raises(TypeError, match=r"step must be a finite number > 0, got "):
+            number("step", value, above=0)
+    for values in ([span, span], np.array([span, 1], object)):
+        with pytest.raises(TypeError, match="u must hold real numbers, got "):
+            real_array("u", values, ("N",))
+
+
 def test_bounds_are_part_of_the_message():
     assert number("eta", 0, least=0, below=1) == 0.0
     with pytest.raises(ValueError, match=r"eta must be a finite number >= 0 and < 1, got 1"):
