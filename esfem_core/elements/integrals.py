@@ -121,6 +121,11 @@ class ElementTables:
         self.gradient_tests = np.hstack(gradient_tests)  # (n, 2Q)
         self.mass = np.ascontiguousarray(mass)
         self.stiffness = np.hstack(stiffness)  # (P, 3Q), for the factors G/s, F/s, E/s
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                own = array.copy(order="K")  # the last bits of products depend on the layout
+                own.setflags(write=False)
+                setattr(self, name, own)
 
     def metric(self, nodes: Array, first: int = 0) -> Metric:
         """Metric of elements with the given node positions.

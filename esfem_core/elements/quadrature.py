@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import roots_jacobi, roots_legendre
 
-from esfem_core.checks import Array, whole_number
+from esfem_core.checks import Array, frozen, whole_number
 
 __all__ = ["TriangleRule", "triangle_rule"]
 
@@ -103,7 +103,7 @@ def _symmetric_rule(degree: int, orbits: tuple[tuple[float, ...], ...]) -> Trian
                 orbit = {(a, b), (b, a), (a, c), (c, a), (b, c), (c, b)}
         points.extend(sorted(orbit))
         weights.extend([weight / 2] * len(orbit))
-    return TriangleRule(np.array(points), np.array(weights), degree)
+    return TriangleRule(frozen(np.array(points)), frozen(np.array(weights)), degree)
 
 
 def _product_rule(degree: int) -> TriangleRule:
@@ -115,4 +115,4 @@ def _product_rule(degree: int) -> TriangleRule:
     xi = np.repeat(r, n)
     eta = np.outer(1 - r, s).ravel()
     weights = np.outer(wr / 4, ws / 2).ravel()
-    return TriangleRule(np.column_stack([xi, eta]), weights, 2 * n - 1)
+    return TriangleRule(frozen(np.column_stack([xi, eta])), frozen(weights), 2 * n - 1)

@@ -687,7 +687,9 @@ class SurfaceSpace:
     @cached_property
     def elimination_order(self) -> Ints:
         """Order of the nodes for sparse factorisations, (N,)."""
-        return dissect(self.cells, self.nodes, part_size=10).order
+        order = dissect(self.cells, self.nodes, part_size=10).order
+        order.setflags(write=False)
+        return order
 
     @cached_property
     def fronts(self) -> Fronts:

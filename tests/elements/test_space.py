@@ -99,6 +99,22 @@ def test_an_exactness_is_accepted_from_the_one_on_that_messages_name(degree):
         ec.SurfaceSpace(tri, degree, exactness=least - 1)
 
 
+@pytest.mark.parametrize("degree", [1, 2, 5])
+def test_nobody_can_write_to_what_a_space_remembers(degree):
+    """Nor to what its arrays are views of."""
+    space = ec.SurfaceSpace(TRI, degree)
+    given = {**vars(space.tables), **space.rule._asdict(), "order": space.elimination_order}
+    arrays = {name: a for name, a in {**vars(space), **given}.items() if isinstance(a, np.ndarray)}
+    assert {"nodes", "cells", "boundary_nodes", "points", "weights", "values", "tests"} < set(
+        arrays
+    )
+    for name in arrays.keys() - {"_cells_last"}:
+        array = arrays[name]
+        while array is not None:
+            assert not array.flags.writeable, name
+            array = array.base
+
+
 def test_methods_refuse_wrong_shapes():
     space = ec.SurfaceSpace(TRI, 2)
     n = len(space.nodes)
