@@ -265,14 +265,14 @@ def _exact_at(problem: Problem, field: Field, onto: Lift, t: float) -> _Exact:
     def along(of: Callable[[Array], Array], e: Array) -> Array:
         return derivative(lambda s: of(y + s * e))
 
-    v = np.array(finite_array("field.v(x, t)", field.v(y, t), y.shape))  # v is called again
+    v = np.array(finite_array("field.v(x, t)", field.v(y.copy(), t), y.shape))  # v is called again
     return _Exact(
-        u=u(y, t),
+        u=u(y.copy(), t),
         grad_u=apply(tangential, slope(lambda z: u(z, t))),
         rate=derivative(lambda s: u(y + s * v, t + s)),
         v=v,
         div_v=np.einsum("...ij,...ji->...", slope(lambda z: field.v(z, t)), tangential),
-        f=finite_array("field.f(x, t)", field.f(y, t), y.shape[:-1]),
+        f=finite_array("field.f(x, t)", field.f(y.copy(), t), y.shape[:-1]),
     )
 
 

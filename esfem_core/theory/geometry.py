@@ -227,7 +227,7 @@ def _checked(name: str, given: Callable[..., Any]) -> Callable[..., Array]:
 
     def values(x: Array, *t: float) -> Array:
         called = f"{name}(x{', t' if t else ''})"
-        return finite_array(called, given(x, *t), x.shape)
+        return finite_array(called, given(x.copy(), *t), x.shape)
 
     return values
 
@@ -284,7 +284,7 @@ def geometric_errors(
     function("surface", surface, "of a time")
     x = space.nodes
     onto = lift(space, x, surface(0.0))
-    y, shape = onto.points, onto.points.shape
+    y = onto.points
     motion = _checked("motion", motion)
     if (away := np.abs(motion(x, 0.0) - x).max()) > STILL * np.abs(x).max():
         raise ValueError(
@@ -293,7 +293,7 @@ def geometric_errors(
     slope = _checked("gradient", gradient)(y)
     speed = _checked("velocity", velocity)(y)
     function("u", u, "of points (..., 3)")
-    nodal, there = finite_array("u(x)", u(x), (len(x),)), finite_array("u(x)", u(y), shape[:-1])
+    nodal, there = (finite_array("u(x)", u(p.copy()), p.shape[:-1]) for p in (x, y))
     tensor = onto.tensor - tangent_projection(space.normals(x))
     exact = apply(tangent_projection(onto.normal), slope)
 

@@ -426,6 +426,23 @@ def test_a_velocity_may_return_the_same_array_each_time():
         np.testing.assert_array_equal(found[name], term)
 
 
+def test_functions_may_write_into_the_points_that_they_are_given():
+    def spoilt(function):
+        def writing(x, t):
+            returned = np.array(function(x, t))
+            x *= 2
+            return returned
+
+        return writing
+
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    space, field = space_of(0), field_of(problem)
+    expected = spatial_terms_u(space, problem, field, 0.6)
+    writing = field._replace(v=spoilt(field.v), f=spoilt(field.f))
+    for name, term in spatial_terms_u(space, problem, writing, 0.6).items():
+        np.testing.assert_array_equal(expected[name], term)
+
+
 def test_the_term_of_the_test_function_is_an_integral_over_the_slip_of_lifted_particles():
     """On a growing sphere they move with v = x/R; with v + w as the velocity the slip is -w."""
     omega, c, R = np.array([1.0, 2.0, 2.0]), np.array([1.0, -1.0, 3.0]), 1.3

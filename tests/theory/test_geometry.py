@@ -40,6 +40,21 @@ def test_the_errors_of_a_sphere_of_another_radius_are_known():
     assert abs(found.u_l2 / np.sqrt(4 / 3 * np.pi * 4) - 1) < 1e-3  # lifts of x3 are x3 / 2
 
 
+def test_functions_may_write_into_the_points_that_they_are_given():
+    def spoilt(function):
+        def writing(x, *t):
+            returned = np.array(function(x, *t))
+            x *= 2
+            return returned
+
+        return writing
+
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
+    given = (lambda x, t: (1 + t) * x, lambda x: x, linear, linear_gradient)
+    writing = geometry.geometric_errors(space, lambda t: Sphere(1 + t), *map(spoilt, given))
+    np.testing.assert_allclose(writing, errors(space, 1.0), rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_they_fall_with_the_mesh_size(degree):
     coarse, fine = (
