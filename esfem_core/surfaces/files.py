@@ -32,7 +32,11 @@ from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, merging, repeated
 from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
-from esfem_core.surfaces.text_files import counted_from_the_first, points_and_polygons
+from esfem_core.surfaces.text_files import (
+    check_ply,
+    counted_from_the_first,
+    points_and_polygons,
+)
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -409,6 +413,8 @@ def _meshio(path: Path) -> Any:
 def _scene(path: Path, kind: str) -> Any:
     if kind == "obj" and (text := counted_from_the_first(path.read_bytes())) is not None:
         return trimesh.load(io.BytesIO(text), file_type=kind, force="scene", process=False)
+    if kind == "ply":
+        check_ply(path.read_bytes())
     return trimesh.load(path, force="scene", process=False)
 
 

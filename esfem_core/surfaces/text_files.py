@@ -6,7 +6,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 
-__all__ = ["counted_from_the_first", "points_and_polygons"]
+__all__ = ["check_ply", "counted_from_the_first", "points_and_polygons"]
 
 
 def counted_from_the_first(data: bytes) -> bytes | None:
@@ -71,3 +71,49 @@ def points_and_polygons(text: str) -> tuple[Array, list[Ints]]:
         )
     cells = [np.array(polygons[k], dtype=np.int64) for k in sorted(polygons) if k > 2]
     return np.array(points, dtype=float).reshape(-1, 3), cells
+
+
+def check_ply(data: bytes) -> None:
+    r"""Refuse a PLY file of text that has other lines than its header counts.
+
+    trimesh takes a file that was cut off for a surface with holes, and of lines that are too many
+    the first ones.
+
+    Examples
+    --------
+    >>> head = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n"
+    >>> check_ply(head + b"0.5\n1.5\n")
+    Traceback (most recent call last):
+        ...
+    ValueError: its header counts 3 lines of points and faces, but it has 2: it was cut off, or the
+    header is wrong
+    """
+    head, end, body = data.partition(b"end_header")
+    words = [line.split() for line in head.decode("utf-8", "replace").splitlines()]
+    if not end or ["format", "ascii"] not in [line[:2] for line in words]:
+        return  # in binary files trimesh looks at the numbers itself
+    elements: list[tuple[int, list[str]]] = []
+    for first, *rest in filter(None, words):
+        if first == "element":
+            elements.append((int(rest[1]), []))
+        elif first == "property":
+            elements[-1][1].append(rest[0])
+    count = sum(n for n, _ in elements)
+    lines = [line for line in body.splitlines() if line.strip()]
+    if lines and len(lines) == count:
+        last = [properties for n, properties in elements if n][-1]
+        if not _is_whole(lines[-1].split(), last):
+            lines.pop()
+    if len(lines) != count:
+        raise ValueError(
+            f"its header counts {count} lines of points and faces, but it has {len(lines)}: it was "
+            "cut off, or the header is wrong"
+        )
+
+
+def _is_whole(words: list[bytes], properties: list[str]) -> bool:
+    """Whether a line has a number for each property; a list is its length and so many more."""
+    n = 0
+    for kind in properties:
+        n += 1 + (int(float(words[n])) if kind == "list" and n < len(words) else 0)
+    return n <= len(words)

@@ -12,6 +12,7 @@ from broken_meshes import SMALL, SPHERE, half, klein_bottle, mesh, pinched, soup
 
 import esfem_core as ec
 from esfem_core.surfaces.files import BY_MESHIO, BY_TRIMESH
+from esfem_core.surfaces.text_files import check_ply
 
 DATA = Path(__file__).parent / "data"
 SHARED = Path(__file__).parents[2]
@@ -415,6 +416,43 @@ def test_an_off_file_that_was_cut_off_is_no_surface_with_holes(folder, share):
     path.write_text(path.read_text()[: int(share * path.stat().st_size)])
     with pytest.raises(ValueError, match=r"(it was cut off, .*: of 42 points|OFF and the numbers)"):
         read(path)
+
+
+def test_a_ply_file_of_text_that_was_cut_off_is_no_surface_with_holes(folder):
+    data, path = SMALL.export(file_type="ply", encoding="ascii").rstrip(), folder / "small.ply"
+    path.write_bytes(data)
+    assert read(path)[1][-1] == "fit for ec.SurfaceSpace"
+    body = data.index(b"end_header") + len("end_header")
+    for end in (*range(body, data.rindex(b" "), 7), data.rindex(b" ")):  # the last number is whole
+        with pytest.raises(
+            ValueError, match=r"its header counts \d+ lines of points and faces, but"
+        ):
+            check_ply(data[:end])
+    path.write_bytes(data[: -len(data) // 10])
+    with pytest.raises(ValueError, match=r"small\.ply cannot be read as \.ply \(.*it was cut off"):
+        read(path)
+
+
+def test_a_ply_file_whose_header_gives_too_few_vertices_is_refused(folder):
+    data, n = SMALL.export(file_type="ply", encoding="ascii"), len(SMALL.vertices)
+    path, wrong = folder / "small.ply", f"vertex {n - 1}\n".encode()
+    path.write_bytes(data.replace(f"vertex {n}\n".encode(), wrong))
+    with pytest.raises(ValueError, match=r"its header counts .*, or the header is wrong"):
+        read(path)
+
+
+def test_blank_lines_and_lists_of_other_lengths_in_a_ply_file_do_no_harm(folder):
+    text = "ply\nformat ascii 1.0\ncomment c\nelement vertex 5\n"
+    text += "".join(f"property float {name}\n" for name in "xyz")
+    text += "element face 5\nproperty list uchar int vertex_indices\nproperty uchar red\n"
+    text += "element edge 0\nproperty int vertex1\nend_header\n"
+    text += "0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 .5 1\n"
+    text += "4 3 2 1 0 9\n3 0 1 4 9\n3 1 2 4 9\n3 2 3 4 9\n3 3 0 4 9\n\n"
+    for ends in ("\n", "\r\n"):
+        (folder / "pyramid.ply").write_bytes(text.replace("\n", ends).encode())
+        tri, said = read(folder / "pyramid.ply")
+        assert said[-1] == "fit for ec.SurfaceSpace"
+        assert tri.volume == pytest.approx(1 / 3)
 
 
 @pytest.mark.parametrize("corners", [3, 4, 6])
