@@ -318,7 +318,13 @@ def test_a_mesh_without_a_unit_has_none():
     ("points", "cells", "message"),
     [
         (np.eye(4), [("triangle", [[0, 1, 2]])], r"three coordinates, .* of shape \(4, 4\)"),
-        (np.eye(3), [("triangle", [[7, 8, 9]])], "points up to 9 and down to 7, .* are 0 to 2"),
+        (
+            np.eye(3),
+            [("triangle", [[7, 8, 9]])],
+            "points up to 9 and down to 7, .* are 3, counted from 0",
+        ),
+        (np.eye(3), [("triangle", [[0, 1, 2], [1, 2, 3]])], "up to 3 and down to 0, .* are 3,"),
+        (np.eye(3), [("quad", [[0, 1, 2, -1]])], "up to 2 and down to -1, .* are 3,"),
         (
             np.vstack([np.eye(3), -np.eye(3)]),
             [("tetra", [[0, 1, 2, 3]]), ("wedge", [[0, 1, 2, 3, 4, 5]])],
