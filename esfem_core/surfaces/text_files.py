@@ -14,7 +14,8 @@ def counted_from_the_first(data: bytes) -> bytes | None:
 
     Negative numbers count back from the last vertex above their line, so that a part of a file
     does not depend on those before it; trimesh counts them from the end of the file. Of corners
-    such as -3/-3/-3 the first number, the position, is kept.
+    such as -3/-3/-3 the first number, the position, is kept. A corner 0, which trimesh takes for
+    the first, is refused.
 
     Examples
     --------
@@ -24,7 +25,7 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     True
     """
     data = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", data))
-    if re.search(rb"^\s*f\s.*-", data, re.MULTILINE) is None:
+    if re.search(rb"^\s*f\s.*(-|(?<=\s)0+(?=[\s/]|$))", data, re.MULTILINE) is None:
         return None
     lines, count = [], 0
     for line in data.splitlines():
@@ -33,7 +34,9 @@ def counted_from_the_first(data: bytes) -> bytes | None:
             count += 1
         elif words[:1] == [b"f"]:
             corners = [int(word.split(b"/")[0]) for word in words[1:]]
-            if wrong := [i for i in corners if i == 0 or i < -count]:
+            if 0 in corners:
+                raise ValueError("a face has corner 0: corners of an OBJ file count from 1")
+            if wrong := [i for i in corners if i < -count]:
                 raise ValueError(f"a face has corner {wrong[0]}, but {count} vertices above it")
             words[1:] = [b"%d" % (i if i > 0 else count + 1 + i) for i in corners]
         lines.append(b" ".join(words))

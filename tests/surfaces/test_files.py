@@ -407,12 +407,21 @@ def test_negative_numbers_of_an_obj_file_count_back_from_their_line(folder, corn
     assert tri.volume == pytest.approx(SPHERE.volume + small.volume, rel=1e-6)
 
 
-@pytest.mark.parametrize("corner", [-3, 0])
-def test_a_corner_that_no_vertex_of_an_obj_file_has_is_refused(folder, corner):
+def test_a_corner_that_no_vertex_of_an_obj_file_has_is_refused(folder):
     path = folder / "early.obj"
-    path.write_text(f"v 0 0 0\nv 1 0 0\nf {corner} -2 -1\nv 0 1 0\n")
-    with pytest.raises(ValueError, match=f"a face has corner {corner}, but 2 vertices above it"):
+    path.write_text("v 0 0 0\nv 1 0 0\nf -3 -2 -1\nv 0 1 0\n")
+    with pytest.raises(ValueError, match="a face has corner -3, but 2 vertices above it"):
         read(path)
+
+
+@pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "2 0//1 1", " 1\t00 2 # last"])
+def test_a_corner_0_of_an_obj_file_is_not_taken_for_the_first(folder, face):
+    path = folder / "zero.obj"
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf {face}\n")
+    with pytest.raises(ValueError, match="a face has corner 0: corners of an OBJ file count from"):
+        read(path)
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "v 1 1 1\n" * 97 + "f 1/10 2 100 # 0\n")
+    assert len(read(path)[0].faces) == 1
 
 
 @pytest.mark.parametrize("share", [0.001, 0.01, 0.1, 0.5, 0.9])
