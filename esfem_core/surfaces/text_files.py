@@ -10,12 +10,13 @@ __all__ = ["check_ply", "counted_from_the_first", "points_and_polygons"]
 
 
 def counted_from_the_first(data: bytes) -> bytes | None:
-    r"""An OBJ file with corners that are numbers from 1 on, or None if it has no others.
+    r"""An OBJ file with corners that are numbers from 1 on, or None if it is plain as it is.
 
     Negative numbers count back from the last vertex above their line, so that a part of a file
     does not depend on those before it; trimesh counts them from the end of the file. Of corners
     such as -3/-3/-3 the first number, the position, is kept. A corner 0, which trimesh takes for
-    the first, is refused.
+    the first, is refused. Lines that are indented or have tabs, which it does not see, have their
+    words between single blanks.
 
     Examples
     --------
@@ -25,7 +26,7 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     True
     """
     data = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", data))
-    if re.search(rb"^\s*f\s.*(-|(?<=\s)0+(?=[\s/]|$))", data, re.MULTILINE) is None:
+    if re.search(rb"^ |\t|^f\s.*(-|(?<=\s)0+(?=[\s/]|$))", data, re.MULTILINE) is None:
         return None
     lines, count = [], 0
     for line in data.splitlines():

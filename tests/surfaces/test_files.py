@@ -414,6 +414,21 @@ def test_a_corner_that_no_vertex_of_an_obj_file_has_is_refused(folder):
         read(path)
 
 
+def test_an_obj_file_may_have_tabs_and_indented_lines(folder):
+    lines = [f"v {x} {y} {z}" for x, y, z in SMALL.vertices.tolist()]
+    lines += [f"f {i} {j} {k}" for i, j, k in (SMALL.faces + 1).tolist()]
+    for text in (
+        "\n".join(lines).replace(" ", "\t"),
+        "\n".join(lines[:-1]) + f"\n  {lines[-1]}",
+        "\n".join(f"\t{line}" for line in lines),
+    ):
+        (folder / "small.obj").write_text(text)
+        tri, said = read(folder / "small.obj")
+        assert said[-1] == "fit for ec.SurfaceSpace"
+        assert np.array_equal(tri.faces, SMALL.faces)
+        assert np.allclose(tri.vertices, SMALL.vertices, rtol=1e-15)
+
+
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "2 0//1 1", " 1\t00 2 # last"])
 def test_a_corner_0_of_an_obj_file_is_not_taken_for_the_first(folder, face):
     path = folder / "zero.obj"
