@@ -57,10 +57,14 @@ def points_and_polygons(text: str) -> tuple[Array, list[Ints]]:
     [array([[0, 1, 2],
            [0, 2, 3]])]
     """
-    _, word, rest = re.sub("#.*", "", text).partition("OFF")
+    kind, word, rest = re.sub("#.*", "", text).partition("OFF")
     rows = [words for line in rest.splitlines() if (words := line.split())]
     if not word or not rows or len(rows[0]) < 2:
         raise ValueError("OFF and the numbers of points and polygons must come first")
+    if re.search("[4n]", kind):
+        raise ValueError(
+            f"points must have three coordinates, but {kind.strip()}OFF stands for another number"
+        )
     n, m = int(rows[0][0]), int(rows[0][1])
     points = [row[:3] for row in rows[1 : n + 1] if len(row) > 2]
     polygons: dict[int, list[list[str]]] = {}

@@ -485,8 +485,16 @@ def test_blank_lines_and_lists_of_other_lengths_in_a_ply_file_do_no_harm(folder)
         assert tri.volume == pytest.approx(1 / 3)
 
 
+@pytest.mark.parametrize("kind", ["4OFF", "nOFF", "C4nOFF"])
+def test_an_off_file_with_another_number_of_coordinates_is_refused(folder, kind):
+    path = folder / "four.off"
+    path.write_text(f"{kind}\n3 1 0\n0 0 0 2\n1 0 0 2\n0 1 0 2\n3 0 1 2\n")
+    with pytest.raises(ValueError, match=f"three coordinates, but {kind} stands for another"):
+        read(path)
+
+
 @pytest.mark.parametrize("corners", [3, 4, 6])
-@pytest.mark.parametrize("head", ["OFF", "COFF # colours"])
+@pytest.mark.parametrize("head", ["OFF", "COFF # colours", "STCNOFF"])
 def test_polygons_of_several_kinds_in_an_off_file_are_cut_into_triangles(folder, corners, head):
     """A prism: two polygons beside its sides, which have four corners."""
     angle = 2 * np.pi * np.arange(corners) / corners
