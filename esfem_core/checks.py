@@ -494,10 +494,8 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
     # What the steps of a run hand over needs no more than a look.
     if type(values) is np.ndarray and values.dtype == float and _fits(values.shape, shape):
         return values
-    if np.ma.isMaskedArray(values):
-        raise TypeError(f"{name} must hold real numbers, got a masked array: its holes have none")
     try:
-        array = np.asarray(values)
+        array = _array_of(name, values)
     except ValueError as error:  # rows of different lengths
         raise ValueError(
             f"{name} must have shape {_text(shape)}, but its rows have none: {error}"
@@ -569,7 +567,7 @@ def check_even(name: str, values: object) -> None:
     ValueError: u0 must have rows of one length, got [[1.0], [1.0, 2.0]]
     """
     try:
-        np.asarray(values)
+        _array_of(name, values)
     except ValueError:
         raise ValueError(f"{name} must have rows of one length, got {shown(values)}") from None
 
@@ -614,6 +612,20 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
     if wrong.any():
         raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")
     return integers
+
+
+def _array_of(name: str, values: object) -> NDArray[Any]:
+    """What NumPy makes of values: not with masks, which it drops. ValueError: rows that differ."""
+    if _masked(values):
+        raise TypeError(f"{name} must hold real numbers, got a masked array: its holes have none")
+    return np.asarray(values)
+
+
+def _masked(values: object, axes: int = 64) -> bool:
+    """Whether values are a masked array, or lists that hold one; arrays have at most 64 axes."""
+    if isinstance(values, list | tuple):
+        return axes > 0 and any(_masked(v, axes - 1) for v in values if type(v) is not float)
+    return isinstance(values, np.ma.MaskedArray)
 
 
 def _as_float(value: object) -> float:

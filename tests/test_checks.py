@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from esfem_core.checks import (
+    check_even,
     finite_array,
     integer_array,
     number,
@@ -93,6 +94,20 @@ def test_arrays_of_a_shape():
 def test_numbers_that_are_not_real_are_refused(values):
     with pytest.raises(TypeError, match="x must hold real numbers, got "):
         real_array("x", values, (3,))
+
+
+def test_a_mask_is_not_lost_in_a_list():
+    row = np.ma.array([1e9, 1.0], mask=[True, False])
+    for values in (row, [row, row], ([0.0, 1.0], row), [[row]], list(row)):
+        for check in (check_even, lambda name, given: real_array(name, given, ("...",))):
+            with pytest.raises(TypeError, match="u0 must hold real numbers, got a masked array: "):
+                check("u0", values)
+    endless = []
+    endless.append(endless)
+    with pytest.raises(
+        ValueError, match=r"u0 must have shape \(\.\.\.,\), but its rows have none: "
+    ):
+        real_array("u0", endless, ("...",))
 
 
 def test_what_is_not_finite_is_refused_with_its_place():
