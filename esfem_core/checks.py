@@ -615,10 +615,13 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
 
 
 def _array_of(name: str, values: object) -> NDArray[Any]:
-    """What NumPy makes of values: not with masks, which it drops. ValueError: rows that differ."""
+    """What NumPy makes of values, without masks, which it drops; ValueError if rows differ."""
     if _masked(values):
         raise TypeError(f"{name} must hold real numbers, got a masked array: its holes have none")
-    return np.asarray(values)
+    try:
+        return np.asarray(values)
+    except (TypeError, RuntimeError) as error:  # those of other libraries may not be copied
+        raise TypeError(f"{name} must hold real numbers, got {shown(values)}: {error}") from error
 
 
 def _masked(values: object, axes: int = 64) -> bool:

@@ -110,6 +110,22 @@ def test_a_mask_is_not_lost_in_a_list():
         real_array("u0", endless, ("...",))
 
 
+@pytest.mark.parametrize("error", [TypeError, RuntimeError])
+def test_a_library_that_gives_no_array_does_not_keep_the_name_from_the_message(error):
+    class Tensor:
+        def __array__(self, dtype=None, copy=None):
+            raise error("call detach() first")
+
+        def __repr__(self):
+            return "Tensor()"
+
+    for check in (check_even, lambda name, given: real_array(name, given, ("N",))):
+        with pytest.raises(
+            TypeError, match=r"u0 must hold real numbers, got Tensor\(\): call detach\(\) first"
+        ):
+            check("u0", Tensor())
+
+
 def test_what_is_not_finite_is_refused_with_its_place():
     with pytest.raises(ValueError, match=r"u must be finite, but u\[2\] is inf"):
         finite_array("u", [0, 1, np.inf], ("N",))
