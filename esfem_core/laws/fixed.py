@@ -66,8 +66,10 @@ class Fixed:
         if isinstance(given, list):
             raise TypeError(f"fixed must be {KINDS}, got {shown(given)}; a pair is a tuple")
         if not isinstance(given, tuple):
-            if not callable(given) and np.ndim(given) > 0:
-                raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
+            if not callable(given):
+                check_even("fixed", given)
+                if np.ndim(given) > 0:
+                    raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
             return cls(given)
         if len(given) != 2:
             raise ValueError(f"fixed must be {KINDS}, got {len(given)} things")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, number, shown, string
+from esfem_core.checks import Array, check_even, finite_array, number, shown, string
 from esfem_core.elements import SurfaceSpace
 from esfem_core.output.curved import refined
 from esfem_core.output.plotting import load_matplotlib
@@ -225,6 +225,7 @@ def colour_range(
 ) -> tuple[float, float]:
     """Values of the first and the last colour."""
     if limits is not None:
+        check_even("limits", limits)
         if np.ndim(limits) != 1 or len(limits) != 2:
             raise ValueError(f"limits must be a pair (lowest, highest), got {shown(limits)}")
         lowest = number("limits[0]", limits[0])

@@ -222,6 +222,10 @@ def test_animate_refuses_what_it_cannot_draw(tmp_path, monkeypatch):
         ec.animate([given], tmp_path / "film.gif", duration=10**7)  # GIF has no room for it
     with pytest.raises(ValueError, match=r"limits must be a pair \(lowest, highest\), got 1"):
         ec.animate([given], limits=np.array(1))
+    with pytest.raises(
+        ValueError, match=r"limits must have rows of one length, got \[\[0\], \[1, 2\]\]"
+    ):
+        ec.animate([given], limits=[[0], [1, 2]])
     with pytest.raises(ValueError, match="states must hold at least one State, got none"):
         ec.animate([], label="u")
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)

@@ -243,6 +243,16 @@ class TestSurfaces:
         np.testing.assert_allclose(last.x[space.boundary_nodes, 2], 0, atol=1e-12)
 
 
+class Tensor:
+    """Numbers of a library that gives no array of them."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("call detach() first")
+
+    def __repr__(self):
+        return "Tensor()"
+
+
 @pytest.mark.parametrize(
     ("fixed", "error", "text"),
     [
@@ -253,6 +263,7 @@ class TestSurfaces:
         ),
         ([1.0, 2.0], TypeError, r"a number, a function g\(x, t\), or a pair \(nodes, values\), g"),
         ([[0, 1], 0.0], TypeError, r"or a pair .*, got \[\[0, 1\], 0.0\]; a pair is a tuple"),
+        (Tensor(), TypeError, r"fixed must hold real numbers, got Tensor\(\): call detach\(\)"),
         (([[0], [1, 2]], 1.0), ValueError, "the nodes of fixed must have rows of one length"),
         (([0, 1], [[1], [1, 2]]), ValueError, "the values of fixed must have rows of one length"),
         (np.inf, ValueError, "fixed must be a finite number"),
