@@ -3,9 +3,10 @@
 import csv
 import errno
 import io
+import math
 import os
 from collections.abc import Iterable, Mapping
-from numbers import Integral, Rational, Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,11 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
 
 def _append(path: Path, data: bytes) -> None:
     """Add to a file, all or nothing."""
-    size = path.stat().st_size
+    try:
+        size = path.stat().st_size
+    except FileNotFoundError as error:
+        reason = "it was removed since its first row: take a new TableWriter"
+        raise FileNotFoundError(error.errno, reason, str(path)) from None
     try:
         with path.open("ab", buffering=0) as file:
             if file.write(data) < len(data):
@@ -145,16 +150,33 @@ def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
                 f"{called} must hold numbers, but {name!r} is masked: its holes have none"
             )
         elif isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
+            if len(value) == 0:
+                raise ValueError(f"{called} must hold a number or more in {name!r}, got none")
             yield from _cells(called, {f"{name}_{i}": entry for i, entry in enumerate(value)})
         else:
-            entry = value.item() if isinstance(value, np.generic | np.ndarray) else value
-            if not isinstance(entry, Real | str | None):
-                raise TypeError(
-                    f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
-                )
-            if isinstance(entry, Rational) and not isinstance(entry, Integral):
-                entry = float(entry)  # programs take 1/3 for text or a date
-            yield name, entry
+            yield name, _cell(called, name, value)
+
+
+def _cell(called: str, name: str, value: Any) -> Any:
+    """An entry as csv writes it with all its digits."""
+    dated = isinstance(value, np.generic | np.ndarray) and value.dtype.kind in "mM"
+    # A date of NumPy is no number, but may become one.
+    entry = value.item() if isinstance(value, np.generic | np.ndarray) and not dated else value
+    if dated or not isinstance(entry, Real | str | None):
+        raise TypeError(
+            f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
+        )
+    if not isinstance(entry, Real) or isinstance(entry, Integral | float | np.floating):
+        return entry
+    try:
+        found = float(entry)  # programs take 1/3 for text or a date
+    except OverflowError:
+        found = math.inf
+    if math.isinf(found):
+        raise ValueError(
+            f"{called} must hold numbers below 1.8e308, but {name!r} is {shown(value)}"
+        )
+    return found
 
 
 def _check_for_utf8(called: str, column: str, entry: Any) -> None:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 import pytest
+import sympy
 from full_disk import room
 
 import esfem_core as ec
@@ -379,6 +380,12 @@ def test_a_row_of_what_is_no_number_is_refused_by_column(tmp_path, bad):
         ({"a": {"b": 1}, "a_b": 3}, ValueError, "different columns, got two called 'a_b'"),
         ({"a": np.ma.array([1.0, 2.0], mask=[0, 1])}, TypeError, "'a' is masked"),
         ({"a": np.ma.masked}, TypeError, "'a' is masked"),
+        ({"a": np.timedelta64(5, "ns")}, TypeError, "but 'a' is 5"),
+        ({"a": np.array([5], "datetime64[ns]")}, TypeError, "but 'a_0' is 1970-01-01T"),
+        ({"a": np.array(5, "timedelta64[ns]")}, TypeError, "but 'a' is 5"),
+        ({"a": 1, "v": []}, ValueError, "must hold a number or more in 'v', got none"),
+        ({"a": Fraction(10**400, 3)}, ValueError, "below 1.8e308, but 'a' is Fraction"),
+        ({"a": sympy.Float("1e400")}, ValueError, "below 1.8e308, but 'a' is 1"),
         ({"a": 1, "b": "x\ud800"}, ValueError, r"rows\[0\] .* column 'b' has 'x\\ud800': half a"),
         ({"\udfff": 1}, ValueError, r"rows\[0\] .* column '\\udfff' has '\\udfff': half a char"),
     ],
@@ -390,5 +397,16 @@ def test_no_number_of_a_row_is_lost_or_made_up(tmp_path, row, error, message):
 
 
 def test_fractions_are_written_as_numbers_that_other_programs_read(tmp_path):
-    ec.save_table(tmp_path / "run.csv", [{"t": Fraction(1, 8), "n": 3}])
+    ec.save_table(tmp_path / "run.csv", [{"t": Fraction(1, 8), "n": 3, "none": {}}])
     assert (tmp_path / "run.csv").read_text() == "t,n\n0.125,3\n"
+    ec.save_table(tmp_path / "run.csv", [{"t": sympy.Float(1 / 3), "n": sympy.Integer(10**20)}])
+    assert (tmp_path / "run.csv").read_text() == f"t,n\n{1 / 3},{10**20}\n"
+
+
+def test_a_table_that_was_removed_on_the_way_is_not_begun_anew(tmp_path):
+    table = ec.TableWriter(tmp_path / "run.csv")
+    table.write({"t": 1.0})
+    table.path.unlink()
+    with pytest.raises(FileNotFoundError, match=r"removed since its first row.*run\.csv"):
+        table.write({"t": 2.0})
+    assert not list(tmp_path.iterdir())
