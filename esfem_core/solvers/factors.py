@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from esfem_core.checks import Array, Ints, function, integer_array, package
-from esfem_core.solvers.systems import check_residual, right_hand_side, square
+from esfem_core.solvers.systems import check_finite, check_residual, right_hand_side, square
 
 __all__ = ["DirectSolver", "Factor", "Solver", "cholmod", "superlu"]
 
@@ -46,12 +46,13 @@ class _Reordered:
 
 
 def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
-    """The order given, or that of A."""
+    """The order given, or that of A, which is refused if it cannot be factorised."""
     n = square(A)
     if A.dtype.kind == "f" and A.dtype != np.float64:
         raise TypeError(
             f"A must hold floats of double precision, got {A.dtype}: A.astype(float) has them"
         )
+    check_finite(A)
     if order is None:
         return np.arange(n)
     order = integer_array("order", order, ("N",))
@@ -81,9 +82,10 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
     TypeError
         If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
-        If `A` is not square, or `order` is no order of its unknowns.
+        If `A` is not square or has no unknown, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
-        If a pivot is zero: the matrix is singular, or as good as that in rounded numbers.
+        If `A` is not finite, or a pivot is zero: the matrix is singular, or as good as that in
+        rounded numbers.
 
     Examples
     --------
@@ -137,9 +139,9 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
     TypeError
         If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
-        If `A` is not square, or `order` is no order of its unknowns.
+        If `A` is not square or has no unknown, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
-        If `A` is not positive definite.
+        If `A` is not finite, or not positive definite.
     """
     cholespy = package("CHOLMOD needs cholespy", "cholespy", "fast")
     new_order = _elimination_order(A, order)

@@ -17,7 +17,7 @@ from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
 from esfem_core.solvers.products import times_rows
-from esfem_core.solvers.systems import LEFT, check_is_solved, right_hand_side, square
+from esfem_core.solvers.systems import LEFT, check_finite, check_is_solved, right_hand_side, square
 
 __all__ = ["LaggedSolver"]
 
@@ -138,8 +138,7 @@ class LaggedSolver:
         for factorise in (self._factorise, superlu):
             if converged:
                 break
-            if not np.isfinite(A.data).all():
-                raise np.linalg.LinAlgError("A must be finite, but has entries that are not")
+            check_finite(A)
             self._factor = factorise(A)
             self._ageing = Ageing(self.price)
             self.factorisations += 1

@@ -6,7 +6,13 @@ from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, real_array
 
-__all__ = ["check_is_solved", "check_residual", "right_hand_side", "square"]
+__all__ = [
+    "check_finite",
+    "check_is_solved",
+    "check_residual",
+    "right_hand_side",
+    "square",
+]
 
 RESIDUAL = 1e-9  # relative to what rounding is relative to; a good factorisation gives 1e-15
 LEFT = 0.1  # share of b that a residual leaves where x has not one right digit
@@ -22,7 +28,7 @@ def square(A: csr_array) -> int:
     TypeError
         If it is not in CSR format, or its entries are not real numbers.
     ValueError
-        If it is not square.
+        If it is not square, or has none.
 
     Examples
     --------
@@ -35,9 +41,25 @@ def square(A: csr_array) -> int:
         raise TypeError(f"A must be a sparse matrix in CSR format, got a {type(A).__name__}")
     if len(A.shape) != 2 or A.shape[0] != A.shape[1]:
         raise ValueError(f"A must be square, got shape {A.shape}")
+    if A.shape[0] == 0:
+        raise ValueError("A must have at least one unknown, got shape (0, 0)")
     if A.dtype.kind not in "fiu":
         raise TypeError(f"A must hold real numbers, got {A.dtype}")
     return int(A.shape[0])
+
+
+def check_finite(A: csr_array) -> None:
+    """Refuse a matrix that is not finite: CHOLMOD would solve with it to NaN.
+
+    Examples
+    --------
+    >>> check_finite(csr_array([[np.nan]]))
+    Traceback (most recent call last):
+        ...
+    numpy.linalg.LinAlgError: A must be finite, but has entries that are not
+    """
+    if not np.isfinite(A.data).all():
+        raise np.linalg.LinAlgError("A must be finite, but has entries that are not")
 
 
 def right_hand_side(n: int, b: ArrayLike) -> Array:

@@ -82,6 +82,21 @@ def test_right_hand_sides_of_other_real_types_are_converted(make):
     np.testing.assert_array_equal(factor.solve(b), factor.solve(b.astype(float)))
 
 
+@pytest.mark.parametrize("make", LIBRARIES)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_matrix_that_is_not_finite_is_refused(make, bad):
+    matrix = tridiagonal(5)
+    matrix.data[3] = bad
+    with pytest.raises(np.linalg.LinAlgError, match="A must be finite, but has entries that are"):
+        make(matrix)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_a_matrix_without_unknowns_is_refused(make):
+    with pytest.raises(ValueError, match=r"A must have at least one unknown, got shape \(0, 0\)"):
+        make(csr_array((0, 0)))
+
+
 def test_superlu_reports_a_singular_matrix():
     zero = tridiagonal(5)
     zero.data[:] = 0
