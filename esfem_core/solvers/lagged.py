@@ -156,7 +156,8 @@ class LaggedSolver:
         self, factor: Factor, A: csr_array, b: Array, x: Array, allowed: Tolerance
     ) -> tuple[Array, bool]:
         """Conjugate gradients from x on, and whether they converged."""
-        found = pcg(A, b, x, factor.solve, allowed, self.price)
+        with np.errstate(over="ignore", invalid="ignore"):  # they do not converge then
+            found = pcg(A, b, x, factor.solve, allowed, self.price)
         self.iterations += found.iterations
         if found.converged:
             self._ageing.record(found.iterations, found.start, found.end)

@@ -137,8 +137,9 @@ def _leaves(share: float, factor: "BlockFactor", A: csr_array) -> bool:
     """Whether a constant solution leaves less than this share of the right-hand side."""
     # A single-precision solution has rough rounding errors of relative size 1e-7, which A
     # multiplies by its largest eigenvalues, and constants, as a rule, by its smallest.
-    b = A @ np.ones(A.shape[0])
-    return bool(np.linalg.norm(b - A @ factor.solve(b)) < share * np.linalg.norm(b))
+    with np.errstate(over="ignore", invalid="ignore"):  # then it does not
+        b = A @ np.ones(A.shape[0])
+        return bool(np.linalg.norm(b - A @ factor.solve(b)) < share * np.linalg.norm(b))
 
 
 def _factorise(A: csr_array, fronts: Fronts, dtype: np.dtype) -> "BlockFactor":

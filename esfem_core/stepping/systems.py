@@ -86,10 +86,13 @@ class Systems:
             solvers[kind], solves[kind] = _checked_solver(self._make()), 0
         solves[kind] += 1
         K = self._conforming(K)
-        w = solvers[kind].solve(K, b, guess)
-        if not isinstance(solvers[kind], DirectSolver | LaggedSolver):  # these test their own
-            w = real_array("what the solver returns", w, b.shape)
-            check_residual(K, b, w)
+        try:
+            w = solvers[kind].solve(K, b, guess)
+            if not isinstance(solvers[kind], DirectSolver | LaggedSolver):  # these test their own
+                w = real_array("what the solver returns", w, b.shape)
+                check_residual(K, b, w)
+        except (FloatingPointError, np.linalg.LinAlgError) as error:
+            raise np.linalg.LinAlgError(f"the linear system of {kind}: {error}") from error
         return w
 
     def solve_again(self, kind: str, K: csr_array, b: Array) -> Array:

@@ -200,3 +200,20 @@ def test_right_hand_sides_are_stacked_and_taken_apart():
     alone, apart = stacked(b[2:])
     assert alone is b[2]
     assert apart(alone)[0] is alone
+
+
+@pytest.mark.parametrize("solver", ["lagged", "direct"])
+@pytest.mark.parametrize(
+    ("problem", "system"),
+    [
+        ({"alpha": 1.7e308}, "law 1"),
+        ({"u0": 1.0, "diffusivity": 1e200, "motion": lambda p, _: p}, "u"),
+    ],
+    ids=["law", "species"],
+)
+@pytest.mark.filterwarnings("error:overflow encountered in dot")
+@pytest.mark.filterwarnings("ignore:overflow encountered in multiply")
+def test_a_system_that_is_not_solved_is_named(solver, problem, system):
+    run = ec.evolve(SPACE, ec.Problem(**problem), order=1, step=0.1, end=0.1, solver=solver)
+    with pytest.raises(ec.EvolutionError, match=rf"the linear system of {system}: (A must be|no )"):
+        list(run)
