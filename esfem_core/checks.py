@@ -60,8 +60,8 @@ def shown(value: object) -> str:
     >>> shown(np.float64(0.5)), shown("x"), shown(np.zeros((2, 3)))
     ('0.5', "'x'", 'an array of shape (2, 3)')
     """
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
+    if isinstance(value, np.ndarray) and value.dtype.kind != "U":  # which is no string
+        value = _entry(value)
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
     if isinstance(value, type):
@@ -175,8 +175,7 @@ def _real(value: object) -> int | float | None:
     """A real number of any library, or None."""
     if type(value) is float:
         return value
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
+    value = _entry(value)
     if isinstance(value, bool | np.bool_ | np.timedelta64) or not isinstance(value, Real):
         return None  # a time span passes for an integer with NumPy, in whatever unit it is
     try:
@@ -245,9 +244,10 @@ def flag(name: str, value: object) -> bool:
         ...
     TypeError: conserved must be True or False, got 'no'
     """
-    if not isinstance(value, bool | np.bool_):
+    found = _entry(value)
+    if not isinstance(found, bool | np.bool_):
         raise TypeError(f"{name} must be True or False, got {shown(value)}")
-    return bool(value)
+    return bool(found)
 
 
 def string(name: str, value: object) -> str:
@@ -612,6 +612,11 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
     if wrong.any():
         raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")
     return integers
+
+
+def _entry(value: object) -> object:
+    """The one entry of an array without axes, such as files hold; any other value as it is."""
+    return value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
 
 
 def _array_of(name: str, values: object) -> NDArray[Any]:

@@ -6,9 +6,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from esfem_core import Species
 from esfem_core.checks import (
     check_even,
     finite_array,
+    flag,
     integer_array,
     number,
     one_of,
@@ -55,6 +57,15 @@ def test_a_time_span_is_no_number(unit):
             real_array("u", values, ("N",))
 
 
+def test_an_array_without_axes_is_true_or_false():
+    for value in (True, np.bool_(True), np.array(True)):
+        assert flag("boundary", value) is True
+    assert Species(1.0, conserved=np.array(False)).conserved is False
+    for value, found in [(np.array(1), "1"), (np.array([True]), r"an array of shape \(1,\)")]:
+        with pytest.raises(TypeError, match=f"boundary must be True or False, got {found}"):
+            flag("boundary", value)
+
+
 def test_bounds_are_part_of_the_message():
     assert number("eta", 0, least=0, below=1) == 0.0
     with pytest.raises(ValueError, match=r"eta must be a finite number >= 0 and < 1, got 1"):
@@ -71,6 +82,8 @@ def test_options_of_a_literal():
     for value in ("Direct", None, 3, np.array(["direct"])):
         with pytest.raises(ValueError, match=r'evaluation must be "direct" or "lifted", got '):
             one_of("evaluation", value, options)
+    with pytest.raises(ValueError, match=r'or "lifted", got an array of shape \(\)'):
+        one_of("evaluation", np.array("direct"), options)
 
 
 def test_arrays_of_a_shape():

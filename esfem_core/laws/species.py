@@ -189,7 +189,7 @@ class Species:
             value = getattr(self, name)
             if isinstance(value, np.ndarray | list | tuple):
                 object.__setattr__(self, name, frozen(np.asarray(value)))
-        flag("conserved", self.conserved)
+        object.__setattr__(self, "conserved", flag("conserved", self.conserved))
         if self.fixed is not None:
             object.__setattr__(self, "fixed", Fixed.of(self.fixed))
 
