@@ -411,7 +411,19 @@ def _is_library(module: str | None) -> bool:
     if (path := _place(head)) is None:
         return head in sys.stdlib_module_names
     standard = Path(sysconfig.get_path("stdlib"))
-    return bool({"site-packages", "dist-packages"} & set(path.parts)) or standard in path.parents
+    installed = {"site-packages", "dist-packages"} & set(path.parts)
+    return bool(installed) or standard in path.parents or _is_of_pip(path)
+
+
+def _is_of_pip(path: Path) -> bool:
+    """Whether pip has put a module into its folder, whatever that is called: it keeps lists.
+
+    A package that is worked on (``pip install -e``) is in none of them.
+    """
+    top = path.parent if path.stem == "__init__" else path
+    entry = re.compile(f"^{re.escape(top.name)}[/,]", re.MULTILINE)
+    lists = top.parent.glob("*.dist-info/RECORD")
+    return any(entry.search(each.read_text("utf-8", "replace")) for each in lists)
 
 
 def _place(head: str) -> Path | None:

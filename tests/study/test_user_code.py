@@ -651,3 +651,15 @@ def test_what_differs_from_machine_to_machine_is_no_piece(tmp_path, monkeypatch)
     before = pieces(made.compute)
     monkeypatch.setattr(made, "N", 3)
     assert pieces(made.compute) == before
+
+
+@pytest.mark.parametrize("module", ["installed_here", "installed_too", "mine_here"])
+def test_what_pip_has_put_into_another_folder_is_a_library(tmp_path, monkeypatch, module):
+    (tmp_path / "installed_here").mkdir()
+    for file in ("installed_here/__init__.py", "installed_too.py", "mine_here.py"):
+        (tmp_path / file).write_text("N = 1\n")
+    (tmp_path / "some-1.0.dist-info").mkdir()
+    record = "installed_here/__init__.py,sha256=x,5\ninstalled_too.py,sha256=y,5\n"
+    (tmp_path / "some-1.0.dist-info" / "RECORD").write_text(f"{record}other/mine_here.py,,\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert user_code._is_library.__wrapped__(module) == module.startswith("installed")
