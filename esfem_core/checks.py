@@ -2,6 +2,9 @@
 
 A check takes the name of an argument and its value, and returns the value as the type that the
 code behind it relies on. Its message says the name, what is allowed and what was found.
+
+A function called ``check_...`` returns nothing. Stored results depend on the code of their runs, but
+not on such calls (see :mod:`esfem_core.study.dependencies`): they are for refusals in that code.
 """
 
 import math
@@ -512,7 +515,7 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
 
 
 def check_array(name: str, values: object, shape: Sequence[int | str]) -> None:
-    """Refuse what is no array that :func:`real_array` returns as it is, where none is converted.
+    """Refuse what is no array of real numbers of a shape, where none is converted.
 
     Examples
     --------
@@ -544,7 +547,7 @@ def check_nodes(name: str, x: object) -> None:
 
 
 def check_string(name: str, value: object) -> None:
-    """Refuse what is no string; a key of a mapping cannot even be looked for if it is a list.
+    """Refuse what is no string, before it is looked for in a mapping.
 
     Examples
     --------

@@ -48,9 +48,9 @@ class _Reordered:
 def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
     """The order given, or that of A, which is refused if it cannot be factorised."""
     n = square(A)
-    if A.dtype.kind == "f" and A.dtype != np.float64:
+    if np.can_cast(A.dtype, np.float32) or not np.can_cast(A.dtype, np.float64):
         raise TypeError(
-            f"A must hold floats of double precision, got {A.dtype}: A.astype(float) has them"
+            f"A must hold numbers of double precision, got {A.dtype}: A.astype(float) has them"
         )
     check_finite(A)
     if order is None:

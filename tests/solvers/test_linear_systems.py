@@ -52,6 +52,23 @@ class TestASingularMatrix:
         """As that of a law that subtracts the mean of u, where u is uniform."""
         check_residual(CONSTANTS, np.full(2, size), np.array([1.0, 1.0 + 2e-16]))
 
+    def test_is_no_matter_in_a_law_that_subtracts_the_mean(self):
+        """Of a u that is uniform, on a surface ten times as large."""
+
+        class Potential:
+            species: ClassVar = {}
+
+            def velocity(self, at, new, tau, past, solve):
+                w = solve(at.A, at.load(at.u - at.mean(at.u)))
+                return at.x * (w - w.mean())[:, None]
+
+        tri = ec.sphere("octahedron", 3)
+        tri.apply_scale(10)
+        space = ec.SurfaceSpace(tri, 2)
+        problem = ec.Problem(species={"u": ec.Species(1.0)}, law=Potential())
+        *_, last = ec.evolve(space, problem, 1, 0.01, 0.02, solver="direct")
+        np.testing.assert_allclose(last.u, 1.0, rtol=1e-6)
+
     def test_in_a_law_of_ones_own_stops_the_run(self):
         class Potential:
             species: ClassVar = {}
@@ -94,7 +111,8 @@ def test_a_loose_residual_that_was_asked_for_is_none_that_is_lost(rtol):
     [
         (complex, "A must hold real numbers, got complex128"),
         (bool, "A must hold real numbers, got bool"),
-        (np.float32, "A must hold floats of double precision, got float32: A.astype.float. has"),
+        (np.int16, "A must hold numbers of double precision, got int16: A.astype.float. has"),
+        (np.float32, "A must hold numbers of double precision, got float32: A.astype.float. has"),
     ],
 )
 def test_matrices_of_other_numbers_are_refused_by_name(solver, dtype, message):
@@ -116,12 +134,27 @@ def test_integers_are_numbers_as_good_as_any(solver):
     np.testing.assert_allclose(K @ x, 1.0, rtol=0, atol=1e-9)
 
 
-def test_no_right_hand_side_at_all_is_refused():
-    with pytest.raises(ValueError, match=rf"b must have one column or more, got shape .{N}, 0"):
-        LaggedSolver().solve(M, np.zeros((N, 0)), np.zeros((N, 0)))
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_right_hand_side_has_no_solution(solver):
+    assert solver().solve(M, np.zeros((N, 0)), np.zeros((N, 0))).shape == (N, 0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_an_answer_that_is_not_finite_is_none(bad):
+    with pytest.raises(np.linalg.LinAlgError, match="a relative residual of nan"):
+        check_residual(csr_array(np.eye(2)), np.ones(2), np.array([bad, 1.0]))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_solution_that_overflows_is_refused(solver):
+    b = np.full(N, 1e307)
+    with pytest.raises((FloatingPointError, np.linalg.LinAlgError)), np.errstate(all="ignore"):
+        solver().solve(M, b, 0 * b)
 
 
 def test_a_matrix_whose_squares_are_infinite_is_not_blamed_on_definiteness():
-    message = "the numbers of A must be at most 1e.150, so that .* got .*e.200"
-    with pytest.raises(np.linalg.LinAlgError, match=message), np.errstate(all="ignore"):
-        LaggedSolver().solve(1e200 * (M + A), np.ones(N), np.zeros(N))
+    """Nor is a guess accepted, whatever the residual."""
+    message = "the numbers of A must be at most 1e150, so that .* got .*e.200"
+    for rhs, guess in ((1.0, 0.0), (1e90, 1e-82)):
+        with pytest.raises(np.linalg.LinAlgError, match=message):
+            LaggedSolver().solve(1e200 * (M + A), np.full(N, rhs), np.full(N, guess))
