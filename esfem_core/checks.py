@@ -3,8 +3,8 @@
 A check takes the name of an argument and its value, and returns the value as the type that the
 code behind it relies on. Its message says the name, what is allowed and what was found.
 
-A function called ``check_...`` returns nothing. Stored results depend on the code of their runs, but
-not on such calls (see :mod:`esfem_core.study.dependencies`): they are for refusals in that code.
+A function called ``check_...`` returns nothing. Stored results depend on the code of their runs,
+but not on such calls (see :mod:`esfem_core.study.dependencies`): they are for refusals in it.
 """
 
 import math
