@@ -196,8 +196,8 @@ def evolve(
     -----
     EvolutionWarning
         If `save` cannot be written; the run goes on, and an older file is untouched.
-        Once, where an angle falls below one degree or values have grown by a factor of 1e6: the run
-        will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more, or
+        Once, where an angle falls below 0.7 to 1 degree or values have grown by a factor of 1e6: the
+        run will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more, or
         with p = 4 or more, which is unstable; and for a slip of which more than a fifth is normal.
     UserWarning
         At the call, for p = 6.
