@@ -74,6 +74,12 @@ def stored(name: str, /, **parameters: Any) -> list[Row]:
     >>> print(f"{row.results['x']:.1e}")
     2.3e-02
     """
+    known = sorted(path.stem for path in DATA.glob("*.jsonl"))
+    if name not in known:
+        raise LookupError(
+            f"no results of {name!r} are stored, only those of {', '.join(known)}; the book's "
+            "cases are computed by: python -m esfem_core.companion.experiments"
+        )
     rows = select(read(DATA / f"{name}.jsonl"), **parameters)
     if not rows:
         given = ", ".join(f"{key} = {value!r}" for key, value in parameters.items())

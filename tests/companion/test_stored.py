@@ -1,6 +1,7 @@
 """Stored results are found wherever the package is, and asked for in one way."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from zipfile import ZipFile
 import pytest
 
 from esfem_core.companion import campaign
+from esfem_core.companion.experiments import EXPERIMENTS
 
 ROOT = Path(__file__).parents[2]
 COMMAND = "python -m esfem_core.companion.experiments"
@@ -26,7 +28,6 @@ def test_stored_rows_are_those_with_the_parameters_asked_for():
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
-        ("nick_figure_6", {}, "no results of nick_figure_6 are stored; "),
         ("nick_theorem", {"order": 6}, "no results of nick_theorem with order = 6 are stored; "),
         (
             "nick_coupling",
@@ -40,6 +41,15 @@ def test_what_is_not_stored_is_told_with_the_command_that_makes_it(name, paramet
         campaign.stored(name, **parameters)
     assert str(error.value).startswith(message)
     assert str(error.value).endswith(f"are computed by: {COMMAND} {name}")
+
+
+def test_a_name_that_is_no_experiment_is_told_the_names_that_are():
+    with pytest.raises(
+        LookupError, match="no results of 'nick_figure_6' are stored, only those"
+    ) as error:
+        campaign.stored("nick_figure_6")
+    assert {e.name for e in EXPERIMENTS} <= set(re.findall(r"\w+", str(error.value)))
+    assert str(error.value).endswith(f"are computed by: {COMMAND}")
 
 
 def test_measurements_that_are_not_there_are_told_with_the_command(monkeypatch, tmp_path):
