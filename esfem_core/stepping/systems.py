@@ -25,6 +25,13 @@ class Statistics:
     solves : dict of str to int
         How many systems of each kind were solved; several right-hand sides at once are one.
 
+    Notes
+    -----
+    Printed, it tells how full the factors of "lagged" solvers are, in entries per unknown. CHOLMOD
+    does not say, and ``solver="direct"`` keeps no factor: the one of a matrix of the run is printed
+    by ``print(superlu(space.mass(x), space.elimination_order))`` with ``superlu`` of
+    :mod:`esfem_core.solvers`; all its matrices have entries at the same places.
+
     Examples
     --------
     >>> import esfem_core as ec
