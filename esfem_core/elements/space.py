@@ -685,6 +685,11 @@ class SurfaceSpace:
         return out.transpose(3, 2, 0, 1)
 
     @cached_property
+    def neighbours(self) -> Ints:
+        """Pairs of elements that have a side in common, (2, E)."""
+        return np.asarray(sides_of(self.cells[:, :3]).pairs().T // 3)
+
+    @cached_property
     def elimination_order(self) -> Ints:
         """Order of the nodes for sparse factorisations, (N,)."""
         order = dissect(self.cells, self.nodes, part_size=10).order

@@ -8,6 +8,7 @@ import numpy as np
 
 from esfem_core.checks import Array
 from esfem_core.elements import DegenerateElementError, SurfaceSpace
+from esfem_core.stepping.folding import fold_of
 from esfem_core.surfaces import FLATTEST, components
 
 __all__ = ["EvolutionWarning", "Guard", "level_outside"]
@@ -19,7 +20,7 @@ GROWTH = 1e6  # of the largest value since the start: from here on worth a warni
 
 
 class EvolutionWarning(UserWarning):
-    """A run will hardly survive, cannot be saved, or has a slip that is not tangential."""
+    """A run will hardly survive, has folds, cannot be saved, or its slip is not tangential."""
 
 
 class Guard:
@@ -151,6 +152,29 @@ class Guard:
                 f"{which} is inside out (enclosed volume {volume[component]:.3g}), near "
                 f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
                 element,
+            )
+
+    def check_folds(self, x: Array, space: SurfaceSpace) -> None:
+        """Warn, once, of a surface that has come to lie on itself.
+
+        It is looked at where its triangles have just been.
+
+        Parameters
+        ----------
+        x : (N, 3) float array
+            The positions that :meth:`check_surface` was given last.
+        space : SurfaceSpace
+        """
+        if x is not self._x or "folds" in self._warned:
+            return
+        fold = fold_of(space, x, self._normal)
+        if fold is not None:
+            element, what = fold
+            self._warn_once(
+                "folds",
+                f"element {element} near {self._place(x, element)} {what}: the surface is folded "
+                "more finely than its elements can follow, and results there mean little from now "
+                "on; a slip, other triangles (ec.remeshed), or a finer mesh may help",
             )
 
     def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:

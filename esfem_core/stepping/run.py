@@ -188,17 +188,22 @@ def evolve(
         If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
         If a run meets a value that is not finite or has grown beyond `growth`, if an element
-        degenerates or turns over, a component of the surface turns inside out, or a linear system
-        is not solved to its tolerance. The states yielded before are good. A surface that passes
-        through itself is not noticed.
+        degenerates, or turns by more than a right angle within a step, a component of the surface
+        turns inside out, or a linear system is not solved to its tolerance. The states yielded
+        before are good, but for what a warning says. A surface that passes through itself is not
+        noticed.
 
     Warns
     -----
     EvolutionWarning
         If `save` cannot be written; the run goes on, and an older file is untouched.
-        Once, where an angle falls below 0.7 to 1 degree or values have grown by a factor of 1e6: the
-        run will hardly survive. At the call, for alpha = 0 with mean curvature and degree 2 or more, or
-        with p = 4 or more, which is unstable; and for a slip of which more than a fifth is normal.
+        Once each, and the run goes on: where an angle falls below 0.7 to 1 degree or values have
+        grown by a factor of 1e6, so that the run will hardly survive; and where the surface folds
+        step by step, so that results mean little there from now on: neighbouring triangles come to
+        enclose less than 60 degrees, or a normal inside a curved element to make more than a right
+        angle with that of its flat triangle. At the call, for alpha = 0 with mean curvature and
+        degree 2 or more, or with p = 4 or more, which is unstable; and for a slip of which more
+        than a fifth is normal.
     UserWarning
         At the call, for p = 6.
 

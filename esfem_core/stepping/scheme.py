@@ -137,6 +137,7 @@ class Scheme:
             with naming_the_step(n, t):
                 state = self._step(history, method, n, t)
                 guard.check_surface(state.x)
+                guard.check_folds(state.x, self.space)
                 guard.check_functions(state.x, state.fields)
             history.push(state)
             yield state

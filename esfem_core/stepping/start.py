@@ -130,6 +130,7 @@ def euler_states(
         with naming_the_step(n, end):
             last = _state(scheme, end, rows[-1], euler)
             guard.check_surface(last.x)
+            guard.check_folds(last.x, scheme.space)
             guard.check_functions(last.x, last.fields)
         yield last
 

@@ -10,6 +10,7 @@ import trimesh
 
 import esfem_core as ec
 from esfem_core.elements import DegenerateElementError
+from esfem_core.stepping import guard as guard_module
 from esfem_core.stepping.guard import Guard
 
 TRI = ec.sphere("icosahedron", 2)
@@ -272,6 +273,107 @@ class TestNarrowAngles:
             own.check_surface(space.nodes * [1, 1, 0.1])
 
 
+def shear(x, t):
+    """Layers of the sphere turn around its axis, neighbours in opposite directions."""
+    return np.sin(4 * x[:, 2])[:, None] * np.cross([0, 0, 1], x)
+
+
+def moved(**how):
+    return ec.Problem(species={}, law=ec.laws.Prescribed(**how))
+
+
+def curved(refinements, degree):
+    return ec.SurfaceSpace(ec.sphere("icosahedron", refinements), degree, ec.to_unit_sphere)
+
+
+class TestFolds:
+    """Triangles that come to lie on each other in many steps, in none of which one turns over."""
+
+    MESSAGE = (
+        r"element \d+ near \[.*\] lies on element \d+, with 5\d degrees between them: the surf"
+    )
+
+    @pytest.mark.parametrize("degree", [1, 2])
+    def test_a_sphere_that_is_wound_up_is_worth_one_warning(self, degree):
+        with pytest.warns(ec.EvolutionWarning, match=self.MESSAGE) as caught:
+            *_, last = ec.evolve(curved(1, degree), moved(velocity=shear), 2, 0.05, 1.5)
+        assert len(caught) == 1
+        assert ec.measure(last).area > 1.1 * 4 * np.pi  # which is that of the sphere
+
+    @pytest.mark.parametrize("degree", [2, 3])
+    def test_nodes_inside_of_elements_fold_these_alone(self, degree):
+        """The corners stay, and with them all that the flat triangles tell."""
+        space = curved(1, degree)
+        ways = np.random.default_rng(0).standard_normal(space.nodes.shape)
+        ways[np.unique(space.cells[:, :3])] = 0
+
+        def X(p, t):
+            return ec.to_unit_sphere(p + t * ways[: len(p)]) if len(p) == len(ways) else p
+
+        with pytest.warns(ec.EvolutionWarning, match="has a normal at more than a right") as caught:
+            list(ec.evolve(space, moved(motion=X), 1, 0.05, 0.5))
+        assert len(caught) == 1
+
+    @pytest.mark.parametrize(
+        ("space", "problem", "step"),
+        [
+            (curved(1, 2), ec.problems.growing_sphere(), 0.05),
+            (curved(2, 1), ec.problems.baseball_bat(), 0.1),
+            (curved(2, 2), ec.problems.baseball_bat(), 0.05),
+            (curved(1, 2), ec.Problem(species={}, law=ec.laws.MeanCurvature()), 0.02),
+        ],
+        ids=["growing sphere", "bat", "bat, k = 2", "mean curvature"],
+    )
+    def test_surfaces_that_elements_follow_are_worth_none(self, space, problem, step):
+        *_, last = ec.evolve(space, problem, 2, step, 10 * step)  # warnings are errors here
+        assert last.t == pytest.approx(10 * step)
+
+    def test_what_is_sharp_at_the_start_is_no_fold(self):
+        """The rim of a lens, unless it becomes sharper still."""
+        lens = TRI.copy()
+        lens.vertices = lens.vertices * [1, 1, 0.05]
+        space = ec.SurfaceSpace(lens)
+        own = guard(space)
+
+        def look(x):
+            own.check_surface(x)
+            own.check_folds(x, space)
+
+        look(2 * space.nodes)
+        look(space.nodes * [1, 1, 0.7])
+        with pytest.warns(ec.EvolutionWarning, match="lies on element"):
+            look(space.nodes * [1, 1, 0.4])
+
+    def test_they_are_looked_for_where_triangles_are(self, monkeypatch):
+        looked = []
+        monkeypatch.setattr(guard_module, "fold_of", lambda *a: looked.append(a))
+        own = guard()
+        for x in (X + 0.4 * own._reach, X + 0.8 * own._reach, 1.5 * X, 1.5 * X):
+            own.check_surface(x)
+            own.check_folds(x, SPACE)
+        assert len(looked) == 1
+
+    def test_a_run_that_goes_on_from_a_save_says_what_a_whole_one_says(self, tmp_path):
+        """Good states give no warning; folded ones are folded still."""
+        space, problem = curved(1, 1), moved(velocity=shear)
+
+        def warned_at(run):
+            with pytest.warns(ec.EvolutionWarning, match="lies on element") as caught:
+                return next(state for state in run if caught)
+
+        def gone_on(states):
+            ec.save(tmp_path / "run.npz", states)
+            loaded, states = ec.load(tmp_path / "run.npz")
+            return ec.evolve(loaded, problem, 2, 0.05, states[-1].t + 0.5, start=states)
+
+        good = list(ec.evolve(space, problem, 2, 0.05, 0.5))  # warnings are errors here
+        first = warned_at(ec.evolve(space, problem, 2, 0.05, 1.0))
+        assert first.t == warned_at(gone_on(good)).t == pytest.approx(0.85)
+        with pytest.warns(ec.EvolutionWarning, match="lies on element"):
+            folded = list(gone_on(good))
+        assert warned_at(gone_on(folded)).t == pytest.approx(1.05)
+
+
 class TestFunctions:
     def test_a_function_may_grow_a_millionfold(self):
         own = guard(u=np.linspace(-2, 1, N))
@@ -436,6 +538,7 @@ def dumbbell(x):
 
 
 @pytest.mark.parametrize(("order", "last"), [(1, 0.09), (2, 0.06)])
+@pytest.mark.filterwarnings("ignore:.* lies on element:esfem_core.EvolutionWarning")
 def test_a_dumbbell_ends_at_its_pinch(order, last):
     """In no state the neck has come out on the other side of its axis, which it does at 0.095."""
     tri = ec.from_level_set(dumbbell, [[-2.8, -1.3, -1.3], [2.8, 1.3, 1.3]], 0.15)
