@@ -103,6 +103,7 @@ class Reader:
 
     def __init__(self, browser, address):
         self.context = browser.new_context(reduced_motion="reduce")
+        self.context.set_default_navigation_timeout(1e3 * LIMIT)
         self.context.add_init_script(STILL)
         self.asked, self.bytes = [], 0
         self.context.on("request", lambda request: self.asked.append(request.url))
