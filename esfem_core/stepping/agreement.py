@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array
+from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Prescribed, positions_of
 from esfem_core.problems import Problem
@@ -69,11 +69,16 @@ def check_precision(law: object, first: State) -> None:
     Raises
     ------
     TypeError
+        Also if it returns no array of real numbers.
+    ValueError
+        If that has another shape.
     """
     if not isinstance(law, Prescribed) or law.field is None:
         return
     with np.errstate(all="ignore"):  # what is not finite is refused when it is integrated
-        v = np.asarray(law.field(first.x.copy(), first.t))
+        given = law.field(first.x.copy(), first.t)
+        real_array("velocity(x, t)", given, first.x.shape)
+        v = np.asarray(given)  # as it is given
     if v.dtype in (np.float16, np.float32) and v.ndim == 2 and np.ptp(v, axis=0).any():
         raise TypeError(
             f"velocity(x, t) must be in double precision, got {v.dtype}: as its flow is integrated "

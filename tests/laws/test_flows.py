@@ -193,6 +193,14 @@ def test_single_precision_is_named_before_a_step():
             ec.evolve(on, growing, 1, 0.1, 0.1)
 
 
+def test_a_velocity_of_another_shape_is_refused_before_a_step():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    for returned in ([[1.0, 2.0, 3.0], [1.0]], np.ones(3)):
+        law = ec.laws.Prescribed(velocity=lambda x, t, values=returned: values)
+        with pytest.raises(ValueError, match=r"velocity\(x, t\) must have shape \(18, 3\)"):
+            ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.1, 0.1)
+
+
 def test_a_motion_that_is_not_finite_stops_the_run():
     def motion(p, t):
         return np.where((t > 0.25) & (p[:, :1] > 1), np.nan, (1 + t) * p)
