@@ -131,7 +131,7 @@ def check_is_solved(b: Array, r: Array) -> None:
     """Refuse residuals that leave more than a tenth of their right-hand sides.
 
     If A is singular and b not in its range, x becomes so large that any residual is one of
-    rounding: relative to |A| |x| it is small. Sums over all entries are compared, since a needle
+    rounding: relative to A times x it is small. Sums over all entries are compared, since a needle
     of an element makes a few entries of A large and the residual there, but costs x no digit.
 
     Parameters
