@@ -105,6 +105,8 @@ def plain(name: str, value: Any, *, arrays: bool = True) -> Any:
     """
     if np.ma.isMaskedArray(value):
         raise TypeError(f"{name} must hold numbers, but is masked: its holes have none")
+    if isinstance(value, np.ndarray) and value.dtype.kind in "mMV":  # dates turn into integers
+        raise TypeError(f"{name} must hold numbers or strings, got an array of {value.dtype}")
     if isinstance(value, np.generic):
         if value.dtype.kind in "biufU":
             value = float(value) if value.dtype.kind == "f" else value.item()

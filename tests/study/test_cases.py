@@ -197,7 +197,8 @@ def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(t
         return {"value": loop} if name == "loop" else {"value": others.get(name, 1)}
 
     others["holes"] = np.ma.array([1.0, 2.0], mask=[False, True])
-    with pytest.warns(StudyWarning, match="^7 of the cases failed"):
+    others["days"] = np.array(["2026-01-01"], dtype="datetime64[D]")
+    with pytest.warns(StudyWarning, match="^8 of the cases failed"):
         results, _ = study(tmp_path, grid(name=[*others, "loop", "good"]), compute)
     assert [row.parameters["name"] for row in results.rows] == ["good"]
     told = {failure.parameters["name"]: str(failure.error) for failure in results.failures}
@@ -206,6 +207,7 @@ def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(t
     assert told["object"].startswith("results['value'][0] must be a number")
     assert told["key"].endswith("got {1: 2}")
     assert told["holes"].startswith("results['value'] must hold numbers, but is masked")
+    assert told["days"].endswith("must hold numbers or strings, got an array of datetime64[D]")
     with pytest.warns(StudyWarning, match="results must be a dict, got 7"):
         study(tmp_path, grid(size=[1]), lambda size: 7, name="seven")
 
