@@ -48,7 +48,7 @@ class History:
     def __init__(
         self, space: SurfaceSpace, problem: Problem, method: Method, states: Sequence[State]
     ) -> None:
-        _, order, _ = method
+        _, order, _ = self.method = method
         self.d = delta(order)
         self.normal: Array | None = None  # of the last extrapolated surface
         newest_first = list(reversed(states))
@@ -122,29 +122,26 @@ class Scheme:
         values[nodes] = self._given(name, x, t, values)[nodes]
         return values
 
+    def history(self, order: int, step: float, states: Sequence[State]) -> History:
+        """What the first step from p states needs of them."""
+        return History(self.space, self.problem, (self.mass, order, step), states)
+
     def steps(
-        self,
-        order: int,
-        step: float,
-        states: Sequence[State],
-        times: Iterable[tuple[int, float]],
-        guard: Guard,
+        self, history: History, times: Iterable[tuple[int, float]], guard: Guard
     ) -> Iterator[State]:
-        """Step from p states through the given (number, time) pairs."""
-        method = (self.mass, order, step)
-        history = History(self.space, self.problem, method, states)
+        """Step on from a history through the given (number, time) pairs."""
         for n, t in times:
             with naming_the_step(n, t):
-                state = self._step(history, method, n, t)
+                state = self._step(history, n, t)
                 guard.check_surface(state.x)
                 guard.check_folds(state.x, self.space)
                 guard.check_functions(state.x, state.fields)
             history.push(state)
             yield state
 
-    def _step(self, history: History, method: Method, n: int, t: float) -> State:
+    def _step(self, history: History, n: int, t: float) -> State:
         """One step, [N] (2.19)-(2.21)."""
-        d, step = history.d, method[2]
+        d, (_, _, step) = history.d, history.method
         fields = {name: extrapolate(values) for name, values in history.functions.items()}
         law, extra = self.problem.law, self._extra(n, {k: w.shape for k, w in fields.items()})
         x_past = combine(d[1:], history.x)
@@ -185,7 +182,7 @@ class Scheme:
         for array in (x, *functions.values(), *products.values()):
             array.setflags(write=False)  # the law may keep v: a copy goes to the state
         return State.of_checked(
-            t, x, v, space=self.space, fields=functions, products=products, method=method
+            t, x, v, space=self.space, fields=functions, products=products, method=history.method
         )
 
     def _diffuse(

@@ -120,7 +120,7 @@ def euler_states(
         rows: list[Values] = []  # Aitken-Neville, one row per number of substeps
         for m in range(1, order + 1):
             parts = ((n, last.t + i * step / m) for i in range(1, m))
-            *_, euler = scheme.steps(1, step / m, [last], (*parts, (n, end)), guard)
+            *_, euler = scheme.steps(scheme.history(1, step / m, [last]), (*parts, (n, end)), guard)
             row = [{"x": euler.x, **euler.fields, **euler.products}]
             for i, old in enumerate(rows, start=1):
                 ratio = m / (m - i) - 1

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+import weakref
 from fractions import Fraction
 from itertools import islice
 
@@ -473,6 +474,18 @@ def test_a_motion_that_flattens_the_surface_to_a_line_stops():
     collected, error = collect_until_error(ec.evolve(SPACE, problem, 2, 0.1, 1.0))
     assert (error.step, len(collected)) == (5, 5)
     assert "is degenerate" in str(error)
+
+
+@pytest.mark.parametrize("start", ["euler", "states"])
+def test_a_run_does_not_keep_its_starting_states(start):
+    if start == "states":
+        start = list(ec.evolve(SPACE, wobble(), 3, 0.02, 0.04))
+    run = ec.evolve(SPACE, wobble(), 3, 0.02, 0.2, start=start)
+    first = weakref.ref(next(run))
+    del start
+    for _ in islice(run, 6):
+        pass
+    assert first() is None
 
 
 def test_functions_of_the_wrong_shape_are_explained():
