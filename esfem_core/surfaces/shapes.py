@@ -199,7 +199,8 @@ def displaced(
     x = np.asarray(tri.vertices)
     shift = np.random.default_rng(seed).uniform(-1, 1, x.shape)
     moved = project(x + share * tri.edges_unique_length.min() * shift)
-    return trimesh.Trimesh(finite_array("project(x)", moved, x.shape), tri.faces, process=False)
+    moved = finite_array("project(x)", moved, x.shape)
+    return trimesh.Trimesh(moved, tri.faces.copy(), process=False)
 
 
 def bisected_sphere(bisections: int) -> trimesh.Trimesh:

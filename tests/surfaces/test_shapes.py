@@ -74,6 +74,14 @@ def test_displaced_vertices_stay_on_the_surface_and_near():
     np.testing.assert_allclose(same.vertices, tri.vertices, atol=1e-15)
 
 
+def test_a_displaced_mesh_shares_nothing_with_the_one_it_was_made_of():
+    tri = ec.sphere("octahedron", 1)
+    moved = displaced(tri, 0.2, ec.to_unit_sphere)
+    moved.faces[:] = moved.faces[:, ::-1].copy()
+    assert tri.volume > 0
+    np.testing.assert_array_equal(tri.faces, ec.sphere("octahedron", 1).faces)
+
+
 def test_points_are_projected_to_the_unit_sphere_whatever_their_axes():
     x = np.random.default_rng(0).standard_normal((4, 5, 3))
     y = ec.to_unit_sphere(x)
