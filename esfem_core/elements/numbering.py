@@ -66,7 +66,7 @@ def check_cells(cells: Ints, faces: Ints, degree: int, n_nodes: int) -> None:
         raise ValueError(
             f"a surface of {len(cells)} such elements has {wanted.max() + 1} nodes, got "
             f"{n_nodes}: neighbours must share the nodes on their edge, and no others; "
-            "SurfaceSpace.read makes one of nodes nearer than 1e-8 of the diagonal"
+            "SurfaceSpace.read makes one of nodes nearer than 1e-6 of the diagonal"
         )
     given = np.zeros(n_nodes, dtype=np.int64)
     given[wanted] = cells

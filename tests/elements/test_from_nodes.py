@@ -10,6 +10,7 @@ from broken_meshes import SPHERE, joined, mesh
 import esfem_core as ec
 from esfem_core.elements.numbering import mirrored
 from esfem_core.surfaces.files import curved_elements
+from esfem_core.surfaces.places import NEAR
 
 DATA = Path(__file__).parents[1] / "surfaces" / "data"
 
@@ -272,3 +273,16 @@ def test_nodes_of_elements_that_share_none_are_finite_and_not_too_far_away(chang
     apart = meshio.Mesh(nodes, [("triangle", np.arange(len(nodes)).reshape(-1, 3))])
     with pytest.raises(ValueError, match=text):
         ec.SurfaceSpace.read(apart, report=None)
+
+
+def test_a_message_says_how_near_nodes_are_made_one():
+    space = curved(2)
+    apart = space.nodes[space.cells].reshape(-1, 3)
+    cells = np.arange(len(apart)).reshape(space.cells.shape)
+    corners, numbers = np.unique(space.cells[:, :3], return_inverse=True)
+    cells[:, :3] = len(apart) + numbers.reshape(-1, 3)
+    used, numbers = np.unique(cells, return_inverse=True)
+    nodes, cells = np.vstack([apart, space.nodes[corners]])[used], numbers.reshape(cells.shape)
+    with pytest.raises(ValueError, match="makes one of nodes nearer than") as refused:
+        ec.SurfaceSpace.from_nodes(nodes, cells)
+    assert float(str(refused.value).split("nearer than ")[1].split()[0]) == NEAR[-1]
