@@ -76,6 +76,7 @@ def sides_of(faces: Ints) -> Sides:
     >>> sides_of(np.array([[0, 1, 2], [1, 0, 3]])).times.tolist()
     [2, 1, 1, 2, 1, 1]
     """
+    faces = np.asarray(faces, dtype=np.int64)  # of a narrower type, the keys would overflow
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
     _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
@@ -90,6 +91,7 @@ def components(faces: Ints) -> Ints:
     >>> components(np.array([[0, 1, 2], [5, 6, 7], [2, 1, 3]])).tolist()
     [0, 1, 0]
     """
+    faces = np.asarray(faces, dtype=np.int64)
     n = int(faces.max(initial=-1)) + 1
     links = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
     graph = coo_array((np.ones(links.shape[1]), tuple(links)), shape=(n, n))

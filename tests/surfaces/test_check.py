@@ -12,7 +12,7 @@ from broken_meshes import BROKEN, SPHERE, half, joined, klein_bottle, mesh, soup
 from scipy.spatial import ConvexHull
 
 import esfem_core as ec
-from esfem_core.surfaces.orientation import shells, sides_of
+from esfem_core.surfaces.orientation import components, shells, sides_of, turned_to_outside
 
 
 def message(tri):
@@ -337,3 +337,14 @@ def test_vertices_too_far_away_for_areas_are_named_without_advice_that_fails():
         match=r"tri must have coordinates up to 1e\+75, but point 0 is \[.* a larger unit",
     ):
         ec.check_triangulation(mesh(1e200 * SPHERE.vertices, SPHERE.faces))
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.uint32, np.uint64])
+def test_faces_may_be_integers_of_any_type(kind):
+    faces = np.array([[2, 1, 0], [1, 3, 0], [3, 2, 0], [2, 3, 1]])
+    assert turned_to_outside(np.eye(4, 3)[::-1], faces.astype(kind)).all()
+    # The keys of the edges from 0 to 3 and from 1 to 3 differ by 2**32.
+    far = np.array([0, 2**15, 2**16, 2**17 - 1])[faces].astype(kind)
+    assert (sides_of(far).times == 2).all()
+    assert components(far).tolist() == [0] * 4
+    np.testing.assert_array_equal(sides_of(far).edge, sides_of(faces).edge)
