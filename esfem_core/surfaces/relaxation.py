@@ -278,6 +278,7 @@ def _without_folds(x: Array, y: Array, faces: Ints) -> Array:
         if not folded.any():
             break
         back = np.unique(faces[folded])
+        y = y.copy()  # `project` may keep what it has returned
         y[back] = x[back]
     return y
 
@@ -324,7 +325,7 @@ def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: flo
     normals = normals_of(x, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     g = gradient(x)
-    g /= np.linalg.norm(g, axis=1, keepdims=True)
+    g = g / np.linalg.norm(g, axis=1, keepdims=True)  # not in place: it may be x itself
     cosine = np.einsum("ti,tji->tj", normals, g[faces]).min(axis=1)
     worst = int(np.argmin(cosine))
     if not cosine[worst] > turn:

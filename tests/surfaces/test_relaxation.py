@@ -39,6 +39,20 @@ def test_a_turn_that_is_not_allowed_is_refused():
         evened(x, faces, GUIDE, 0.3, turn=float(np.cos(np.radians(6))))
 
 
+def test_functions_of_a_guide_may_return_their_argument_or_keep_what_they_return():
+    tri, sphere, kept = ec.sphere("octahedron", 2), ec.exact_surfaces.Sphere(2.0), []
+
+    def project(x):
+        kept.append((y := sphere.closest(x), y.copy()))
+        return y
+
+    guide = Guide(lambda x: ((x**2).sum(axis=1) - 4) / 2, lambda x: x, project)
+    found = evened(*resized(2 * tri.vertices, tri.faces, guide, 0.5), guide, 0.5)
+    np.testing.assert_allclose(np.linalg.norm(found.vertices, axis=1), 2, rtol=1e-12)
+    for returned, before in kept:
+        np.testing.assert_array_equal(returned, before)
+
+
 def test_lengths_at_the_vertices_must_be_positive():
     tri = ec.sphere("octahedron", 1)
     with pytest.raises(ValueError, match="longest must be positive, got 0"):
