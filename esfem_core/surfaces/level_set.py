@@ -18,6 +18,8 @@ __all__ = [
     "checked_values",
     "descend",
     "project_to_level_set",
+    "reach",
+    "size_of",
     "with_its_gradient",
 ]
 
@@ -26,13 +28,17 @@ Field = Callable[[Array], Array]
 MAX_STEPS = 50
 ON_SURFACE = 1e-13  # accepted distance from the surface, relative to the coordinates
 CLOSEST = 1e-11  # accepted tangential distance from the closest point, likewise
+SWAYING = 1e-10  # likewise, over the distance from the surface: error of differences
 FAR = 10  # sizes of the surface from the origin
 APART = 1e5  # times as far from the origin as most points
-SAMPLES = 8  # points at which a given gradient is compared with differences
+SAMPLES = 8  # points that show the size of the surface, and the gradient of which is compared
 ALIKE = 1e-3  # by so much of its size it may differ there; differences are good to 1e-9
 LARGEST = 1e150  # value and slope; their squares must be numbers, and
 SMALLEST = 1e-150  # those of slopes not be zero
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
+NEARBY = 1e-3  # step of the differences that show how d bends, relative to its reach
+SHORTEST_REACH = 1e-8  # relative to the coordinates: a shorter one drowns in their rounding
+DIRECTIONS = np.vstack([np.eye(3), (1 - np.eye(3)) / np.sqrt(2)])  # all second derivatives in six
 
 
 def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
@@ -54,8 +60,9 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     callable
         (n, 3) -> (n, 3), for :class:`esfem_core.SurfaceSpace` and
         :class:`esfem_core.Exact`. Its points are on the surface to 1e-13 times the
-        largest coordinate and closest ones to 1e-11 times it. It raises a ValueError where
-        Newton's method does not arrive, the gradient vanishes or is not that of d on the surface.
+        largest coordinate and closest ones to 1e-11 times it, or to 1e-10 of their way. It
+        raises a ValueError where Newton's method does not arrive, the gradient vanishes or is not
+        that of d on the surface.
 
     Examples
     --------
@@ -70,7 +77,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
         return _by_distance(project_alike, finite_array("points", points, ("n", 3)))
 
     def project_alike(x: Array) -> Array:
-        size = float(np.ptp(x, axis=0).max()) if len(x) else 0.0
+        size = size_of(d, x)
         slope = checked_gradient(d, gradient, size)
         return with_its_gradient(d, gradient, size, lambda x: _closest(d, slope, x), x)
 
@@ -92,6 +99,8 @@ def _closest(d: Field, slope: Field, x: Array) -> Array:
         if len(todo) == 0:
             return y
         y[todo] = descend(d, slope, y[todo] + tangential)
+    if (np.linalg.norm(tangential, axis=1) <= SWAYING * np.linalg.norm(off[far], axis=1)).all():
+        return y
     raise ValueError(
         f"points must be near the surface, but no closest point was found for "
         f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
@@ -106,6 +115,56 @@ def checked_gradient(d: Field, gradient: Field | None, size: float | None = None
         return central_gradient(d, size)
     function("gradient", gradient, "of points (n, 3), or None")
     return gradient
+
+
+def reach(d: Field, points: Array) -> Array:
+    """Length over which d bends: its slope over its second derivatives, up to a small factor.
+
+    Parameters
+    ----------
+    d : callable
+        (n, 3) -> (n,).
+    points : (n, 3) float array
+
+    Returns
+    -------
+    (n,) float array
+        From 1e-8 of the largest coordinate, which is also that of a kink, to all of it, which is
+        also that of a plane.
+
+    Examples
+    --------
+    >>> ring = np.array([[1.01, 0, 0], [0, 0.99, 0]])
+    >>> reach(lambda x: np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1, x[:, 2]) - 0.01, ring).round(4)
+    array([0.01, 0.01])
+    """
+    length, todo = np.full(len(points), _scale(points)), np.arange(len(points))
+    least = SHORTEST_REACH * _scale(points)
+    for _ in range(MAX_STEPS):
+        moves = NEARBY * length[todo, None] * DIRECTIONS[:, None]
+        here = checked_values(d, points[todo], (), "d")
+        before, after = (
+            checked_values(d, (points[todo] + s * moves).reshape(-1, 3), (), "d").reshape(6, -1)
+            for s in (-1, 1)
+        )
+        along = np.abs(after - before).max(axis=0) / 2
+        bent = np.abs(after - 2 * here + before).max(axis=0)
+        # Seen over a length that is too long, d bends by another amount: look again.
+        again = (bent > 2 * NEARBY * along) & (length[todo] > least)
+        if not again.any():
+            break
+        todo, share = todo[again], NEARBY * along[again] / bent[again]
+        length[todo] = np.maximum(share * length[todo], least)
+    return length
+
+
+def size_of(d: Field, points: Array) -> float:
+    """Size of the surface for `central_gradient`: that of d, for points may be close together."""
+    return float(np.median(reach(d, _some(points)))) if len(points) else 0.0
+
+
+def _some(x: Array) -> Array:
+    return x[:: -(-len(x) // SAMPLES)]
 
 
 def with_its_gradient(
@@ -141,7 +200,7 @@ def _check_is_gradient(d: Field, gradient: Field, x: Array, size: float, *, leng
     A few points will do, and at some of them d may have a kink. Without `length`, only directions
     are compared.
     """
-    some = x[:: -(-len(x) // SAMPLES)]
+    some = _some(x)
     given = checked_values(gradient, some, (3,), "gradient")
     expected = central_gradient(d, size)(some)
     sizes = [np.linalg.norm(g, axis=1, keepdims=True) for g in (given, expected)]

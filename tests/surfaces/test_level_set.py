@@ -6,6 +6,7 @@ from level_sets import ellipsoid, torus, two_rings, unit_sphere
 
 import esfem_core as ec
 from esfem_core.surfaces import central_gradient, descend
+from esfem_core.surfaces.level_set import reach
 
 NEAR = np.random.default_rng(0).standard_normal((200, 3))
 
@@ -107,6 +108,45 @@ def test_a_point_far_away_does_not_spoil_the_others(distance):
         np.testing.assert_array_equal(project(some)[::2], project(near))
         np.testing.assert_allclose(project(some)[1], [2, 0, 0], atol=1e-12)
     np.testing.assert_array_equal(descend(d, gradient, some)[::2], descend(d, gradient, near))
+
+
+def distance_to_sphere(x):
+    return np.linalg.norm(x, axis=1) - 1
+
+
+@pytest.mark.parametrize("spread", [0.03, 1e-4, 1e-10, 0.0])
+def test_points_that_are_close_together_are_projected_as_alone(spread):
+    cluster = [1.2, 0.6, 0.3] + spread * NEAR[:5]
+    y = ec.project_to_level_set(distance_to_sphere)(cluster)
+    np.testing.assert_allclose(y, ec.to_unit_sphere(cluster), rtol=0, atol=2e-11)
+
+
+@pytest.mark.parametrize("away", [1e2, 1e4, 1e6])
+def test_a_point_of_a_surface_far_from_the_origin_is_projected_alone(away):
+    u, centre = ec.to_unit_sphere(NEAR[:1]), away * np.array([1, -1 / 3, 1 / 7])
+    project = ec.project_to_level_set(lambda x: distance_to_sphere(x - centre))
+    np.testing.assert_allclose(project(centre + 1.3 * u), centre + u, rtol=0, atol=1e-11 * away)
+
+
+@pytest.mark.parametrize("r", [0.05, 1e-2, 1e-4])
+def test_thin_surfaces_have_their_closest_points(r):
+    y = torus_closest(NEAR, r)
+    x = y + 0.5 * (y - torus_closest(NEAR, 0))
+    project = ec.project_to_level_set(lambda x: torus(x, r=r))
+    np.testing.assert_allclose(project(x), y, rtol=0, atol=2e-11)
+
+
+def test_a_point_that_sways_with_the_errors_of_differences_is_not_too_far_away():
+    x = np.array([[0.935047854779887, -0.8898793992604399, 0.7163563527889524]])
+    y = ec.project_to_level_set(distance_to_sphere)(x)
+    np.testing.assert_allclose(y, ec.to_unit_sphere(x), rtol=0, atol=1e-10)
+
+
+def test_d_bends_over_its_radius_and_over_nothing_at_a_kink():
+    x = np.array([[1.0, 0, 0], [0, 0.01, 0], [0, 0, 1e-3]])
+    np.testing.assert_allclose(reach(distance_to_sphere, x), [1, 0.01, 1e-3], rtol=0.3)
+    kink = reach(lambda x: np.abs(x).max(axis=1) - 1, np.array([[1.0, 1, 0], [1, 0.5, 0]]))
+    np.testing.assert_array_equal(kink, [1e-8, 1])
 
 
 def test_projection_leaves_the_surface_alone():
