@@ -13,11 +13,18 @@ import numpy as np
 from esfem_core.checks import Array, Bools, finite_array, number
 from esfem_core.surfaces.differences import derivative
 from esfem_core.surfaces.faults import FARTHEST
-from esfem_core.surfaces.level_set import Field, checked_gradient, project_to_level_set
+from esfem_core.surfaces.level_set import (
+    Field,
+    checked_gradient,
+    checked_values,
+    project_to_level_set,
+    reach,
+    size_of,
+)
 
 __all__ = ["Ellipsoid", "ExactSurface", "LevelSet", "Near", "Sphere", "Torus"]
 
-DIFFERENCE = 2e-3  # step of differences of fourth order, relative to the coordinates
+DIFFERENCE = 2e-3  # step of differences of fourth order, relative to the reach of d
 CONVERGED = 1e-8  # error of the ellipsoid's equation before the last Newton step squares it
 MAX_STEPS = 50  # of that method
 DEEP = 0.1  # smallest x_i/p_i of points inside that need no more care
@@ -272,7 +279,8 @@ class LevelSet(ExactSurface):
     gradient : callable, optional
         (n, 3) -> (n, 3), its gradient; by central differences if None. Second derivatives are
         differences of the gradient if it is given, with a relative error of about 1e-11, and
-        otherwise of d, with about 1e-9.
+        otherwise of d, with about 1e-9. Where radii of curvature are small against the
+        coordinates it grows, to 1e-7 at a millionth of them.
 
     Examples
     --------
@@ -292,7 +300,8 @@ class LevelSet(ExactSurface):
         shape = x.shape
         x = x.reshape(-1, 3)
         points = project_to_level_set(self.d, self.gradient)(x)
-        gradient = checked_gradient(self.d, self.gradient)(points)
+        slope = checked_gradient(self.d, self.gradient, size_of(self.d, points))
+        gradient = checked_values(slope, points, (3,), "gradient")
         size = np.linalg.norm(gradient, axis=-1, keepdims=True)
         normal = gradient / size
         P = np.eye(3) - _outer(normal)
@@ -307,10 +316,13 @@ class LevelSet(ExactSurface):
 
     def _hessian(self, points: Array) -> Array:
         """Second derivatives of d, (n, 3, 3)."""
-        step = DIFFERENCE * (float(np.abs(points).max(initial=0)) or 1.0)
+        length, scale = reach(self.d, points), float(np.abs(points).max(initial=0)) or 1.0
+        # The sixth root, of the rounding that there is: see `central_gradient`.
+        step = DIFFERENCE * length * (scale / length) ** (1 / 6)
 
         def slope(function: Field, x: Array, e: Array) -> Array:
-            return derivative(lambda s: function(x + s * e), order=4, step=step)
+            change = derivative(lambda s: function(x + s * step[:, None] * e), order=4, step=1.0)
+            return np.asarray((change.T / step).T)
 
         def differences(x: Array) -> Array:
             return np.stack([slope(self.d, x, e) for e in np.eye(3)], axis=-1)

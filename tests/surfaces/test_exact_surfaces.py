@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from esfem_core.surfaces.exact_surfaces import Ellipsoid, Sphere, Torus
+from esfem_core.surfaces import torus
+from esfem_core.surfaces.exact_surfaces import Ellipsoid, LevelSet, Sphere, Torus
 
 SURFACES = [Sphere(1.3), Torus(1.0, 0.4), Ellipsoid((1.4, 1.0, 0.7))]
 
@@ -113,3 +114,40 @@ def test_radii_and_axes_may_be_of_any_library():
     for surface in (Sphere, Torus):
         with pytest.raises(TypeError, match="must be a finite number > 0, got '1'"):
             surface("1")
+
+
+@pytest.mark.parametrize(("away", "accuracy"), [(0, 1e-10), (1e2, 2e-9), (1e4, 1e-8), (1e6, 1e-7)])
+@pytest.mark.parametrize("given", [False, True])
+def test_the_curvature_of_a_level_set_is_right_far_from_the_origin(away, accuracy, given):
+    centre = away * np.array([1, -1 / 3, 1 / 7])
+    x = centre + Sphere().closest(np.random.default_rng(0).normal(size=(5, 3)))
+
+    def d(x):
+        return np.linalg.norm(x - centre, axis=1) - 1
+
+    def gradient(x):
+        return (x - centre) / np.linalg.norm(x - centre, axis=1, keepdims=True)
+
+    level_set = LevelSet(d, gradient if given else None)
+    np.testing.assert_allclose(level_set.mean_curvature(x), 2, rtol=accuracy)
+
+
+@pytest.mark.parametrize(
+    ("r", "accuracy"), [(0.4, 1e-9), (0.05, 2e-9), (0.004, 1e-8), (1e-4, 1e-7)]
+)
+def test_the_curvature_of_a_thin_level_set_is_right(r, accuracy):
+    def d(x):
+        return np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1, x[:, 2]) - r
+
+    x = torus(1, r, 8, 6).vertices
+    expected = Torus(1, r).mean_curvature(x)
+    np.testing.assert_allclose(LevelSet(d).mean_curvature(x), expected, rtol=accuracy)
+
+
+def test_a_gradient_that_writes_into_its_argument_changes_no_points():
+    def gradient(x):
+        return np.multiply(x, 2, out=x)
+
+    near = LevelSet(lambda x: (x**2).sum(axis=1) - 1, gradient).near(np.array([[0, 0, 1.1]]))
+    np.testing.assert_allclose(near.points, [[0, 0, 1]], atol=1e-13)
+    np.testing.assert_allclose(near.distance, 0.1, atol=1e-13)
