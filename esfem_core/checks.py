@@ -3,8 +3,10 @@
 A check takes the name of an argument and its value, and returns the value as the type that the
 code behind it relies on. Its message says the name, what is allowed and what was found.
 
-A function called ``check_...`` returns nothing. Stored results depend on the code of their runs,
-but not on such calls (see :mod:`esfem_core.study.dependencies`): they are for refusals in it.
+A function called ``check_...`` refuses input, by TypeError or ValueError, and does nothing else:
+stored results depend on the code of their runs, but not on such calls (see
+:mod:`esfem_core.study.dependencies`). What may end a run, which a result may tell, or send an
+algorithm another way, is called ``require_...``.
 """
 
 import math

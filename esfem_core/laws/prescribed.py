@@ -78,7 +78,7 @@ class Prescribed(Law):
         """
         if self.motion is not None:
             moved = real_array("motion(p, t)", self.motion(nodes.copy(), t), nodes.shape)
-            _check_finite("motion(p, t)", moved, nodes, t)
+            _require_finite("motion(p, t)", moved, nodes, t)
             return np.array(moved)
         start, x = before
         if t == start:
@@ -141,10 +141,10 @@ class _Rate:
     def refuse_bad(self) -> None:
         """Say where the last bad values are, if there are any."""
         if self.bad is not None:
-            _check_finite("velocity(x, t)", *self.bad)
+            _require_finite("velocity(x, t)", *self.bad)
 
 
-def _check_finite(name: str, values: Array, x: Array, t: float) -> None:
+def _require_finite(name: str, values: Array, x: Array, t: float) -> None:
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         node = int(np.argmin(finite))

@@ -241,7 +241,7 @@ class Species:
             D = self._coefficient("diffusivity", D, at, [(), (3, 3)])
             if D.ndim == 4:
                 check_tensors("diffusivity", D)  # eigvalsh reads one half only
-                _check_definite(D, at)
+                _require_definite(D, at)
         elif np.ndim(D) == 1:
             return [Part(np.equal(D, value), float(value), rate) for value in np.unique(D)]
         return [Part(slice(None), D, rate)]
@@ -345,7 +345,7 @@ def _check_pair(called: str, returned: object, at: Surface, trailing: tuple[int,
         )
 
 
-def _check_definite(D: Array, at: Surface) -> None:
+def _require_definite(D: Array, at: Surface) -> None:
     """Diffusion tensors must not have a negative eigenvalue on the tangent plane."""
     P = np.eye(3) - at.normal[..., :, None] * at.normal[..., None, :]
     lowest = np.linalg.eigvalsh(P @ D @ P)[..., 0]

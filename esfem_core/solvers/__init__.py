@@ -9,7 +9,7 @@ from esfem_core.solvers.fronts import Fronts
 from esfem_core.solvers.lagged import LaggedSolver
 from esfem_core.solvers.multifrontal import BlockFactor, factorise
 from esfem_core.solvers.products import times, times_rows
-from esfem_core.solvers.systems import check_residual, right_hand_side
+from esfem_core.solvers.systems import require_small_residual, right_hand_side
 from esfem_core.solvers.threads import (
     BLAS_THREADS,
     MOST_THREADS,
@@ -30,12 +30,12 @@ __all__ = [
     "Fronts",
     "LaggedSolver",
     "Solver",
-    "check_residual",
     "cholmod",
     "dissect",
     "factorise",
     "pieces",
     "processors",
+    "require_small_residual",
     "right_hand_side",
     "side_by_side",
     "superlu",

@@ -9,7 +9,12 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from esfem_core.checks import Array, Ints, function, integer_array, package
-from esfem_core.solvers.systems import check_finite, check_residual, right_hand_side, square
+from esfem_core.solvers.systems import (
+    require_finite,
+    require_small_residual,
+    right_hand_side,
+    square,
+)
 
 __all__ = ["DirectSolver", "Factor", "Solver", "cholmod", "superlu"]
 
@@ -52,7 +57,7 @@ def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
         raise TypeError(
             f"A must hold numbers of double precision, got {A.dtype}: A.astype(float) has them"
         )
-    check_finite(A)
+    require_finite(A)
     if order is None:
         return np.arange(n)
     order = integer_array("order", order, ("N",))
@@ -224,7 +229,7 @@ class DirectSolver:
         factor = self._factorise(A)
         self.factorisations += 1
         x: Array = factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
-        check_residual(A, b, x)
+        require_small_residual(A, b, x)
         return x
 
     def __repr__(self) -> str:

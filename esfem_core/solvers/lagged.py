@@ -17,7 +17,7 @@ from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
 from esfem_core.solvers.products import times_rows
-from esfem_core.solvers.systems import LEFT, check_finite, check_is_solved, right_hand_side, square
+from esfem_core.solvers.systems import LEFT, require_finite, require_solved, right_hand_side, square
 
 __all__ = ["LaggedSolver"]
 
@@ -146,7 +146,7 @@ class LaggedSolver:
         for factorise in (self._factorise, superlu):
             if converged:
                 break
-            check_finite(A)
+            require_finite(A)
             self._factor = factorise(A)
             self._ageing = Ageing(self.price)
             self.factorisations += 1
@@ -157,7 +157,7 @@ class LaggedSolver:
                 "iterations with a new factorisation, the last one by SuperLU: A must be symmetric "
                 "and positive definite, but is not, or is so in more digits than there are"
             )
-        _check_rounding(A, rows, x, allowed)
+        _require_solved_rows(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)
 
     def _iterate(
@@ -178,7 +178,7 @@ class LaggedSolver:
         )
 
 
-def _check_rounding(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> None:
+def _require_solved_rows(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> None:
     """Refuse rows of x that are accepted for their rounding level only, but solve nothing."""
     # A sum over N entries is at most sqrt(N) times as large as the Euclidean norm: where rounding
     # is far from b, as in almost all runs, no product with A is needed to know it.
@@ -187,7 +187,7 @@ def _check_rounding(A: csr_array, b: Array, x: Array, allowed: Tolerance) -> Non
     if (level > LEFT**2 * np.vecdot(b, b)).any():
         r = b - times_rows(A, x)
         loose = np.vecdot(r, r) > allowed.squares
-        check_is_solved(b[loose].T, r[loose].T)
+        require_solved(b[loose].T, r[loose].T)
 
 
 def _to_one(b: Array) -> Ints:

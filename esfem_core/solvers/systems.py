@@ -7,9 +7,9 @@ from scipy.sparse import csr_array, issparse
 from esfem_core.checks import Array, real_array
 
 __all__ = [
-    "check_finite",
-    "check_is_solved",
-    "check_residual",
+    "require_finite",
+    "require_small_residual",
+    "require_solved",
     "right_hand_side",
     "square",
 ]
@@ -48,12 +48,12 @@ def square(A: csr_array) -> int:
     return int(A.shape[0])
 
 
-def check_finite(A: csr_array) -> None:
+def require_finite(A: csr_array) -> None:
     """Refuse a matrix that is not finite: CHOLMOD would solve with it to NaN.
 
     Examples
     --------
-    >>> check_finite(csr_array([[np.nan]]))
+    >>> require_finite(csr_array([[np.nan]]))
     Traceback (most recent call last):
         ...
     numpy.linalg.LinAlgError: A must be finite, but has entries that are not
@@ -87,12 +87,12 @@ def right_hand_side(n: int, b: ArrayLike) -> Array:
     return columns
 
 
-def check_residual(A: csr_array, b: Array, x: Array) -> None:
+def require_small_residual(A: csr_array, b: Array, x: Array) -> None:
     """Refuse x that does not solve A x = b to many digits.
 
     ``max|b - A x|`` is compared with ``|A| max|x| + max|b|``, where ``|A|`` is the largest sum of
     absolute values in a row: stable factorisations bring this quotient to 1e-15, also where A is
-    ill-conditioned. Where A is singular it is no larger, since x is; see :func:`check_is_solved`.
+    ill-conditioned. Where A is singular it is no larger, since x is; see :func:`require_solved`.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
 
     Examples
     --------
-    >>> check_residual(csr_array(np.eye(2)), np.ones(2), np.array([1.0, 1.1]))
+    >>> require_small_residual(csr_array(np.eye(2)), np.ones(2), np.array([1.0, 1.1]))
     Traceback (most recent call last):
         ...
     numpy.linalg.LinAlgError: no solution: x has a relative residual of 0.048 (allowed: 1e-09); A...
@@ -124,10 +124,10 @@ def check_residual(A: csr_array, b: Array, x: Array) -> None:
             "must be symmetric and positive definite, but is not, or is so in more digits than "
             "there are"
         )
-    check_is_solved(b, r)
+    require_solved(b, r)
 
 
-def check_is_solved(b: Array, r: Array) -> None:
+def require_solved(b: Array, r: Array) -> None:
     """Refuse residuals that leave more than a tenth of their right-hand sides.
 
     If A is singular and b not in its range, x becomes so large that any residual is one of
@@ -149,7 +149,7 @@ def check_is_solved(b: Array, r: Array) -> None:
     --------
     >>> A = csr_array([[1.0, -1.0], [-1.0, 1.0]])
     >>> b, x = np.ones(2), np.array([1e16, 1e16 + 2])
-    >>> check_is_solved(b, b - A @ x)
+    >>> require_solved(b, b - A @ x)
     Traceback (most recent call last):
         ...
     numpy.linalg.LinAlgError: no solution: x leaves 2 of b, in the mean over its entries (allowed...

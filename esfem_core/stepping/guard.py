@@ -56,7 +56,7 @@ class Guard:
         self._narrow = min(NARROW, 0.5 * float(shape.min()))
         self._reach = self._safe_distance(shape, sides, volume)
 
-    def check_surface(self, x: Array) -> None:
+    def look_at_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
 
         Components with a boundary have no inside. Triangles are looked at again when nodes have
@@ -80,7 +80,7 @@ class Guard:
             upright = _dot(normal, self._normal) > 0.5 / SHAPE**2 * size * self._size
             if not (upright.all() and shape.min() > self._narrow):
                 self._look_closer(x, normal, shape)
-            self._check_inside(x, volume)
+            self._look_inside(x, volume)
             self._x, self._normal, self._size = x, normal, size
             self._reach = self._safe_distance(shape, sides, volume)
         self._before = x
@@ -141,7 +141,7 @@ class Guard:
             "triangles, a smaller step, or alpha > 0 may help",
         )
 
-    def _check_inside(self, x: Array, volume: Array) -> None:
+    def _look_inside(self, x: Array, volume: Array) -> None:
         """Refuse a component that has become inside out."""
         inside_out = (volume < 0) & self._closed
         if (inside_out != self._inside_out).any():
@@ -154,7 +154,7 @@ class Guard:
                 element,
             )
 
-    def check_folds(self, x: Array, space: SurfaceSpace) -> None:
+    def warn_of_folds(self, x: Array, space: SurfaceSpace) -> None:
         """Warn, once, of a surface that has come to lie on itself.
 
         It is looked at where its triangles have just been.
@@ -162,7 +162,7 @@ class Guard:
         Parameters
         ----------
         x : (N, 3) float array
-            The positions that :meth:`check_surface` was given last.
+            The positions that :meth:`look_at_surface` was given last.
         space : SurfaceSpace
         """
         if x is not self._x or "folds" in self._warned:
@@ -177,7 +177,7 @@ class Guard:
                 "on; a slip, other triangles (ec.remeshed), or a finer mesh may help",
             )
 
-    def check_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
+    def look_at_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
         """Refuse functions that are not finite or have grown beyond all bounds.
 
         Nothing is a multiple of zero: a function that starts from it has no bound.

@@ -133,9 +133,9 @@ class Scheme:
         for n, t in times:
             with naming_the_step(n, t):
                 state = self._step(history, n, t)
-                guard.check_surface(state.x)
-                guard.check_folds(state.x, self.space)
-                guard.check_functions(state.x, state.fields)
+                guard.look_at_surface(state.x)
+                guard.warn_of_folds(state.x, self.space)
+                guard.look_at_functions(state.x, state.fields)
             history.push(state)
             yield state
 

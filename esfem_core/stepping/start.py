@@ -129,9 +129,9 @@ def euler_states(
             rows = row
         with naming_the_step(n, end):
             last = _state(scheme, end, rows[-1], euler)
-            guard.check_surface(last.x)
-            guard.check_folds(last.x, scheme.space)
-            guard.check_functions(last.x, last.fields)
+            guard.look_at_surface(last.x)
+            guard.warn_of_folds(last.x, scheme.space)
+            guard.look_at_functions(last.x, last.fields)
         yield last
 
 

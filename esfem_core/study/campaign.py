@@ -285,7 +285,7 @@ def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
     """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
     try:
         compute = loads(sent.function) if isinstance(sent.function, bytes) else sent.function
-        _check_loaded(compute, sent.pieces)
+        _require_same_code(compute, sent.pieces)
         return _computed(compute, parameters, sent.code)
     except KeyboardInterrupt:
         raise
@@ -296,7 +296,7 @@ def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
 _compared: set[tuple[tuple[str, str], ...]] = set()  # once for each study: cases may be many
 
 
-def _check_loaded(compute: Callable[..., Any], wanted: Mapping[str, str]) -> None:
+def _require_same_code(compute: Callable[..., Any], wanted: Mapping[str, str]) -> None:
     """Refuse to compute with other code than that under which the row would be kept."""
     key = tuple(wanted.items())
     if key in _compared:

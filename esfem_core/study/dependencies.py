@@ -3,9 +3,11 @@
 Stored results are as good as the code that made them. A hash of the whole package would call them
 out of date after every change of a docstring or of a picture; here a function's own code is
 followed, name by name, through the definitions of the package that it can reach. What cannot change
-a result does not count: docstrings, comments, layout, what errors and warnings say, and what only
-refuses input, as functions named ``check_...`` do, and each ``if`` that does nothing but raise
-ValueError or TypeError. Of a class those methods count whose names stand in code that is reached.
+a result does not count: docstrings, comments, layout, what errors say, warnings, and what only
+refuses input, as each ``if`` does that only raises ValueError or TypeError. Functions named
+``check_...`` or ``warn...`` do nothing else, and calls of them do not count. What ends a run does,
+since an experiment may store that. Of a class those methods count whose names stand in code that
+is reached.
 
 Code of the package is read from its files. That of a user, which may stand in a notebook, is
 followed from object to object by :mod:`esfem_core.study.user_code`.
@@ -266,7 +268,7 @@ def _read(module: str, package: Path) -> _Module | None:
 
 
 class _WhatCounts(ast.NodeTransformer):
-    """Takes out of a file what errors and warnings say, and what only refuses input.
+    """Takes out of a file what errors say, warnings, and what only refuses input.
 
     Errors of other kinds may be part of an algorithm: some are caught, and another way is tried.
     """
@@ -281,7 +283,7 @@ class _WhatCounts(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         called = node.value.func if isinstance(node.value, ast.Call) else None
         name = getattr(called, "attr", getattr(called, "id", ""))
-        return None if name == "warn" or name.lstrip("_").startswith("check_") else node
+        return None if name.lstrip("_").startswith(("check_", "warn")) else node
 
 
 def _refuses(statement: ast.stmt) -> bool:

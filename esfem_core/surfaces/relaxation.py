@@ -162,8 +162,8 @@ def evened(
             break
         before = reached.mean_ratio
         if n >= ROUGH_ROUNDS and not good:
-            _check_curvature(x, faces, guide.gradient, h, turn)
-    _check_curvature(x, faces, guide.gradient, h, turn)
+            _require_small_turns(x, faces, guide.gradient, h, turn)
+    _require_small_turns(x, faces, guide.gradient, h, turn)
     return Evened(x, faces, reached, good)
 
 
@@ -320,7 +320,7 @@ def _flipped(x: Array, faces: Ints) -> Ints:
     return faces
 
 
-def _check_curvature(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
+def _require_small_turns(x: Array, faces: Ints, gradient: Field, h: float, turn: float) -> None:
     """Refuse triangles that the surface leaves at a larger angle than allowed."""
     normals = normals_of(x, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -46,8 +46,8 @@ class TestSurfaces:
         rotation = trimesh.transformations.rotation_matrix(0.5, [1, 2, 3])[:3, :3]
         for _ in range(30):  # in steps; by more than a turn in all
             x = 1.1 * x @ rotation.T + [3, 1, 0]
-            own.check_surface(x)
-        own.check_surface(x * [1, 1, 0.1])
+            own.look_at_surface(x)
+        own.look_at_surface(x * [1, 1, 0.1])
 
     def test_inside_out(self):
         """The map x -> -x leaves the normal of every triangle as it is."""
@@ -57,14 +57,14 @@ class TestSurfaces:
             "to a point or passed through itself"
         )
         with pytest.raises(DegenerateElementError, match=message):
-            own.check_surface(-X)
+            own.look_at_surface(-X)
         with pytest.raises(DegenerateElementError, match="volume -4"):  # wherever it is
-            own.check_surface(100 - X)
-        own.check_surface(X)
+            own.look_at_surface(100 - X)
+        own.look_at_surface(X)
 
     def test_mirrored(self):
         with pytest.raises(DegenerateElementError, match="has turned over: its normal") as error:
-            guard().check_surface(X * [-1, 1, 1])
+            guard().look_at_surface(X * [-1, 1, 1])
         normal = TRI.face_normals[error.value.element]
         assert abs(normal[0]) < np.sqrt(0.5)  # (n1, n2, n3) has become (n1, -n2, -n3)
 
@@ -75,7 +75,7 @@ class TestSurfaces:
         with pytest.raises(
             DegenerateElementError, match=r"element \d+ near \[.*\] has turned over"
         ) as error:
-            guard().check_surface(x)
+            guard().look_at_surface(x)
         assert corner in SPACE.cells[error.value.element]
 
     def test_normals_are_compared_with_those_of_the_step_before(self):
@@ -86,9 +86,9 @@ class TestSurfaces:
             X @ trimesh.transformations.rotation_matrix(a, [0, 0, 1])[:3, :3].T for a in angles
         ]
         with pytest.raises(DegenerateElementError, match="has turned over"):
-            own.check_surface(turned[-1])
+            own.look_at_surface(turned[-1])
         for x in turned:
-            own.check_surface(x)
+            own.look_at_surface(x)
 
     @pytest.mark.parametrize(
         "path",
@@ -111,7 +111,7 @@ class TestSurfaces:
                 with warnings.catch_warnings(record=True) as warned:
                     warnings.simplefilter("always")
                     try:
-                        own.check_surface(path(n * step))
+                        own.look_at_surface(path(n * step))
                     except DegenerateElementError as error:
                         return [*all_said, (n, str(error))]
                 all_said += [(n, str(w.message)) for w in warned]
@@ -151,7 +151,7 @@ class TestSurfaces:
         assert 0 < own._reach < 0.01
         moved = thin.vertices - own._reach * np.sign(thin.vertices)
         own._reach = 0.0
-        own.check_surface(moved)
+        own.look_at_surface(moved)
 
     def test_a_step_is_judged_by_itself_where_the_one_before_was_not_looked_at(self):
         """A turn by half a degree was not worth a look; by 89.7 degrees more is still allowed."""
@@ -162,16 +162,16 @@ class TestSurfaces:
         ]
         assert np.abs(turned[0] - X).max() < own._reach
         for x in turned:
-            own.check_surface(x)
+            own.look_at_surface(x)
 
     def test_degenerate_and_not_finite(self):
         flat = X.copy()
         a, b, c = SPACE.cells[11]
         flat[a] = (flat[b] + flat[c]) / 2
         with pytest.raises(DegenerateElementError, match=r"element 11 near \[.*\] is degenerate"):
-            guard().check_surface(flat)
+            guard().look_at_surface(flat)
         with pytest.raises(DegenerateElementError, match=r"element \d+ near \[.*\] is degenerate"):
-            guard().check_surface(X * [1, 0, 0])  # all of them at once
+            guard().look_at_surface(X * [1, 0, 0])  # all of them at once
         for value in (np.nan, np.inf):
             x = X.copy()
             x[5, 2] = value
@@ -181,7 +181,7 @@ class TestSurfaces:
                     DegenerateElementError, match=r"element \d+ near .* is not finite"
                 ) as e,
             ):
-                guard().check_surface(x)
+                guard().look_at_surface(x)
             assert 5 in SPACE.cells[e.value.element]
 
 
@@ -203,23 +203,23 @@ class TestSeveralComponents:
     def test_one_of_two_is_inside_out(self):
         space = two(shift=4.0, cavity=False)
         own, x = guard(space), space.nodes.copy()
-        own.check_surface(x)
+        own.look_at_surface(x)
         x[N:] = 8 - x[N:]
         message = r"component 1 of the surface is inside out \(enclosed volume -0\.5"
         with pytest.raises(DegenerateElementError, match=message) as error:
-            own.check_surface(x)
+            own.look_at_surface(x)
         assert error.value.element >= len(TRI.faces)
 
     def test_a_cavity_may_stay_one(self):
         space = two()
         own, x = guard(space), space.nodes.copy()
-        own.check_surface(0.5 * x)
+        own.look_at_surface(0.5 * x)
         x[N:] *= 0.01
-        own.check_surface(x.copy())
+        own.look_at_surface(x.copy())
         x[N:] *= -1
         message = r"component 1 of the surface is inside out \(enclosed volume 5\.\d+e-07\)"
         with pytest.raises(DegenerateElementError, match=message):
-            own.check_surface(x)
+            own.look_at_surface(x)
 
     def test_a_run_with_a_cavity_ends_when_the_cavity_closes(self):
         """Both walls move inwards with speed 1; the inner one has the radius 1/2."""
@@ -248,8 +248,8 @@ class TestNarrowAngles:
         own = guard()
         message = r"element \d+ near \[.*\] has an angle below one degree: the run will hardly"
         with pytest.warns(ec.EvolutionWarning, match=message):
-            own.check_surface(needle(0.004))
-        own.check_surface(needle(0.003))  # warnings are errors here
+            own.look_at_surface(needle(0.004))
+        own.look_at_surface(needle(0.003))  # warnings are errors here
 
     @pytest.mark.parametrize(("degrees", "good"), [(55, True), (65, False)])
     def test_they_turn_by_60_degrees_at_most(self, degrees, good):
@@ -257,20 +257,20 @@ class TestNarrowAngles:
         axis = np.cross(TRI.face_normals[11], [0.3, 0.5, 0.8])
         turn = trimesh.transformations.rotation_matrix(np.radians(degrees), axis)[:3, :3]
         with pytest.warns(ec.EvolutionWarning, match="angle below one degree"):
-            own.check_surface(x)
+            own.look_at_surface(x)
         message = r"element \d+ near \[.*\], with an angle below one degree, has turned over"
         with nullcontext() if good else pytest.raises(DegenerateElementError, match=message):
-            own.check_surface(x @ turn.T)
-        guard().check_surface(X @ turn.T)  # others may
+            own.look_at_surface(x @ turn.T)
+        guard().look_at_surface(X @ turn.T)  # others may
 
     def test_a_mesh_that_has_them_at_the_start_is_not_worth_one(self):
         thin = TRI.copy()
         thin.vertices = thin.vertices * [1, 1, 0.002]
         space = ec.SurfaceSpace(thin)
         own = guard(space)
-        own.check_surface(1.5 * space.nodes)
+        own.look_at_surface(1.5 * space.nodes)
         with pytest.warns(ec.EvolutionWarning, match="angle below one degree"):
-            own.check_surface(space.nodes * [1, 1, 0.1])
+            own.look_at_surface(space.nodes * [1, 1, 0.1])
 
 
 def shear(x, t):
@@ -336,8 +336,8 @@ class TestFolds:
         own = guard(space)
 
         def look(x):
-            own.check_surface(x)
-            own.check_folds(x, space)
+            own.look_at_surface(x)
+            own.warn_of_folds(x, space)
 
         look(2 * space.nodes)
         look(space.nodes * [1, 1, 0.7])
@@ -349,8 +349,8 @@ class TestFolds:
         monkeypatch.setattr(guard_module, "fold_of", lambda *a: looked.append(a))
         own = guard()
         for x in (X + 0.4 * own._reach, X + 0.8 * own._reach, 1.5 * X, 1.5 * X):
-            own.check_surface(x)
-            own.check_folds(x, SPACE)
+            own.look_at_surface(x)
+            own.warn_of_folds(x, SPACE)
         assert len(looked) == 1
 
     def test_a_run_that_goes_on_from_a_save_says_what_a_whole_one_says(self, tmp_path):
@@ -377,7 +377,7 @@ class TestFolds:
 class TestFunctions:
     def test_a_function_may_grow_a_millionfold(self):
         own = guard(u=np.linspace(-2, 1, N))
-        own.check_functions(X, {"u": np.linspace(0, 2e6, N)})
+        own.look_at_functions(X, {"u": np.linspace(0, 2e6, N)})
 
     @pytest.mark.parametrize("sign", [1, -1])
     def test_more_is_worth_one_warning_each(self, sign):
@@ -387,8 +387,8 @@ class TestFunctions:
         w[9, 1] = sign * 3e6
         where = r"near \[ *-?[\d.]+ +-?[\d.]+ +-?[\d.]+\]: the step is too large"
         with pytest.warns(ec.EvolutionWarning) as caught:
-            own.check_functions(X, {"u": u, "w": w})
-        own.check_functions(X, {"u": u, "w": w})
+            own.look_at_functions(X, {"u": u, "w": w})
+        own.look_at_functions(X, {"u": u, "w": w})
         assert len(caught) == 2
         texts = [
             r"u has grown to 2e\+06, 2e\+06 times its largest value at the start, at node 7",
@@ -399,28 +399,28 @@ class TestFunctions:
 
     def test_more_than_what_is_allowed_is_an_error(self):
         own = guard(growth=100, u=np.ones(N))
-        own.check_functions(X, {"u": np.full(N, 99.0)})
+        own.look_at_functions(X, {"u": np.full(N, 99.0)})
         with pytest.warns(ec.EvolutionWarning, match="u has grown"):
-            guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1e12)})
+            guard(u=np.ones(N)).look_at_functions(X, {"u": np.full(N, 1e12)})
         with pytest.raises(
             FloatingPointError,
             match=r"u has grown to 1\.1e\+12, .* \(allowed: growth = 1e\+12 times; growth=inf lets",
         ):
-            guard(u=np.ones(N)).check_functions(X, {"u": np.full(N, 1.1e12)})
+            guard(u=np.ones(N)).look_at_functions(X, {"u": np.full(N, 1.1e12)})
 
     def test_a_function_that_starts_from_zero_has_no_bound_but_must_be_finite(self):
         own = guard(growth=2, u=np.zeros(N))
         for size in (0.0, 1e-300, 1.0, 1e300):
-            own.check_functions(X, {"u": np.full(N, size)})
+            own.look_at_functions(X, {"u": np.full(N, size)})
         with pytest.raises(FloatingPointError, match="u is not finite"):
-            own.check_functions(X, {"u": np.full(N, np.inf)})
+            own.look_at_functions(X, {"u": np.full(N, np.inf)})
 
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
     def test_what_is_not_finite_has_a_place(self, value):
         w = np.zeros((N, 2))
         w[30, 1] = value
         with pytest.raises(FloatingPointError, match=r"w is not finite at node 30 near \[.*\]"):
-            guard(w=np.ones((N, 2))).check_functions(X, {"w": w})
+            guard(w=np.ones((N, 2))).look_at_functions(X, {"w": w})
 
 
 class TestGrowthInRuns:

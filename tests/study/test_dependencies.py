@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from esfem_core.companion.experiments import EXPERIMENTS
+from esfem_core.companion.experiments import EXPERIMENTS, expanding_sphere
 from esfem_core.companion.experiments.theorem import nodal_sides
 from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, environment
@@ -61,11 +61,21 @@ def build():
     if not wall:
         raise Halted("no wall")
     check_height(HEIGHT)
+    require_width(wall)
+    _warn_of_low_walls(HEIGHT)
     return wall.area()
+
+def require_width(wall):
+    if wall.area() < 1:
+        raise Halted("no width")
 
 def check_height(height):
     if height > 3:
         raise ValueError("too high")
+
+def _warn_of_low_walls(height):
+    if height < 1:
+        print("too low")
 
 class Halted(Exception):
     pass
@@ -110,6 +120,7 @@ def house(tmp_path):
         ("start", "h.Wall()", "h.Wall(1)"),
         ("start", "raise Halted", "raise OSError"),
         ("start", "if not wall:", "if wall:"),
+        ("start", "wall.area() < 1", "wall.area() < 2"),
     ],
 )
 def test_code_that_is_reached_counts(house, name, old, new):
@@ -130,6 +141,8 @@ def test_code_that_is_reached_counts(house, name, old, new):
         ("start", '"no wall"', '"still no wall"'),
         ("start", "if not HEIGHT:", "if HEIGHT is None:"),
         ("start", "height > 3", "height > 4"),
+        ("start", "height < 1", "height < 2"),
+        ("start", "    _warn_of_low_walls(HEIGHT)\n", ""),
     ],
 )
 def test_words_checks_layout_and_code_that_is_not_reached_do_not(house, name, old, new):
@@ -179,9 +192,32 @@ def test_a_module_as_a_whole_counts_with_all_that_is_in_it(monkeypatch):
     assert whole("esfem_core.laws") == code
 
 
-def test_what_is_named_check_returns_nothing():
-    for path in sorted(dependencies.PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf8"))):
-            if isinstance(node, ast.FunctionDef) and node.name.lstrip("_").startswith("check_"):
-                returned = [n.value for n in ast.walk(node) if isinstance(n, ast.Return)]
-                assert not any(returned), f"{path.name}: {node.name}"
+NOT_COUNTED = [
+    (path.name, node)
+    for path in sorted(dependencies.PACKAGE.rglob("*.py"))
+    for node in ast.walk(ast.parse(path.read_text("utf8")))
+    if isinstance(node, ast.FunctionDef) and node.name.lstrip("_").startswith(("check_", "warn"))
+]
+
+
+@pytest.mark.parametrize(("file", "function"), NOT_COUNTED, ids=[f.name for _, f in NOT_COUNTED])
+def test_a_function_that_does_not_count_only_refuses_input_or_warns(file, function):
+    """No result, no change, and no error that ends a run or sends an algorithm another way."""
+    nodes = list(ast.walk(function))
+    assert not any(n.value for n in nodes if isinstance(n, ast.Return)), f"{file} returns"
+    kept = [n for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
+    assert not kept, f"{file} changes what it belongs to"
+    raised = {n.exc.func.id for n in nodes if isinstance(n, ast.Raise) and n.exc}
+    assert raised <= {"TypeError", "ValueError"}, file
+    named = {n.attr if isinstance(n, ast.Attribute) else n.id for n in nodes
+             if isinstance(n, ast.Attribute | ast.Name)}  # fmt: skip
+    assert not any(name.lstrip("_").startswith("require_") for name in named), file
+
+
+def test_what_ends_a_run_counts_for_an_experiment_that_stores_this():
+    compute = expanding_sphere.errors_at_end
+    key = compute.__module__, compute.__qualname__, dependencies.PACKAGE, False
+    found = {name for _, name in dependencies._closure(*key)}
+    assert {"Guard.look_at_surface", "Guard._look_inside", "Guard.look_at_functions"} <= found
+    assert {"require_small_residual", "require_solved", "_require_definite"} <= found
+    assert not {"Guard.warn_of_folds", "fold_of", "check_law"} & found
