@@ -113,7 +113,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m esfem_core.companion.experiments",
         description=__doc__,
-        epilog=f"experiments:\n{listing}\n\nnick_coupling needs scikit-image, the extra mesh",
+        epilog=f"experiments:\n{listing}\n\nmeshes of the distance function, in nick_figures_1_3, "
+        "nick_figures_2_4 and nick_coupling, need scikit-image, the extra mesh",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="name", help="experiments to run (all)")
