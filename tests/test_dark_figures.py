@@ -6,6 +6,9 @@ from matplotlib.figure import Figure
 
 from esfem_core.output import COLOURS
 
+# With the dark paper, #121212, by the formula of WCAG 2.2.
+CONTRASTS = {"#ffffff": 18.73, "#00ff00": 13.65, "#ff0000": 4.69, "#777777": 4.18, "#0000ff": 2.18}
+
 
 @pytest.fixture
 def drawn(tmp_path):
@@ -31,9 +34,15 @@ def test_lines_are_bright_enough_and_areas_keep_their_colour(drawn):
     assert "fill: #440154" in dark
 
 
-@pytest.mark.parametrize("colour", COLOURS)
-def test_every_colour_of_the_palette_can_be_told_from_the_dark_paper(colour):
-    assert figures.contrast(figures.lighter(colour.lower())) >= 4.5
+def test_contrast_is_that_of_wcag():
+    found = {colour: figures.contrast(colour) for colour in CONTRASTS}
+    assert found == pytest.approx(CONTRASTS, abs=0.006)
+
+
+def test_colours_of_the_palette_are_bright_enough_and_stay_apart():
+    lighter = [figures.lighter(colour.lower()) for colour in COLOURS]
+    assert min(map(figures.contrast, lighter)) >= 4.5
+    assert len(set(lighter)) == len(COLOURS)
 
 
 def test_a_page_shows_one_of_two_pictures_and_links_to_it():
