@@ -13,6 +13,7 @@ BROWSER = os.environ.get("BROWSER", "chromium")  # or "firefox"
 on_chromium = pytest.mark.skipif(
     BROWSER != "chromium", reason="Firefox cannot be told yet what its system or its medium is"
 )
+missing = pytest.fail if os.environ.get("CI") else pytest.skip  # there a browser must be
 ROOT = Path(__file__).parents[2]
 HTML = ROOT / "_build" / "html"
 PAGES = sorted(
@@ -43,7 +44,7 @@ def chromium(playwright):
     names = ("chromium", "chromium-browser", "google-chrome")
     found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
     if not found:
-        pytest.skip("no Chromium found: install it, or name its executable in CHROMIUM")
+        missing("no Chromium found: install it, or name its executable in CHROMIUM")
     return playwright.chromium.launch(
         executable_path=found,
         args=[
@@ -58,7 +59,7 @@ def firefox(playwright):
     names = ("firefox-esr", "firefox")
     found = os.environ.get("FIREFOX") or next(filter(None, map(shutil.which, names)), None)
     if not found:
-        pytest.skip("no Firefox found: install it, or name its executable in FIREFOX")
+        missing("no Firefox found: install it, or name its executable in FIREFOX")
     return playwright.firefox.launch(channel="moz-firefox", executable_path=found)
 
 
