@@ -1,9 +1,8 @@
-"""The public surface as a table: each function with good arguments, and what each argument may be.
+"""What lines of door_table.py are made of, and what follows from them.
 
-From it come wrong arguments (:func:`wrong`) and other spellings of right ones (:func:`equal`), for
-``test_messages.py`` (each once) and ``test_fuzz.py`` (drawn at random). A message is helpful if it
-names the argument, says what is allowed ("must", "needs") and what was found; see
-:func:`helpful`.
+Wrong arguments (:func:`wrong`) and other spellings of right ones (:func:`equal`), of which
+test_messages.py takes some and fuzz.py draws at random. A message is helpful if it names the
+argument, says what is allowed ("must", "needs") and what was found; see :func:`helpful`.
 """
 
 import re
@@ -43,8 +42,8 @@ class Thing:
         return "Thing()"
 
 
-def number(good, *bad, optional=False, called=()):
-    return Argument(good, "number", bad, optional, called)
+def number(good, *bad, optional=False):
+    return Argument(good, "number", bad, optional)
 
 
 def whole(good, *bad, optional=False, called=()):
@@ -73,9 +72,9 @@ def one(good, optional=False, called=()):
     return Argument(good, "one", None, optional, called)
 
 
-def several(good, called=()):
+def several(good):
     """A sequence of objects of one class."""
-    return Argument(good, "several", called=called)
+    return Argument(good, "several")
 
 
 def function(good, optional=False, called=()):
