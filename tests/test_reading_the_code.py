@@ -33,8 +33,8 @@ def test_the_page_of_a_room_documents_each_module_once(room):
     assert sorted(found) == modules(f"{PACKAGE}.{room}")
 
 
-def after_what_it_uses(order):
-    """Whether each module of a list stands after those of the list that it imports from."""
+def too_early(order):
+    """Modules of a list, each with one that it imports from and that stands only after it."""
     places = {module: i for i, module in enumerate(order)}
     return [
         (module, used)
@@ -48,7 +48,7 @@ def after_what_it_uses(order):
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_module_is_documented_after_those_it_uses(room):
     found = documented(f"api/{room}.md")
-    assert after_what_it_uses([m for m in found if sources.path_of(m).stem != "__init__"]) == []
+    assert too_early([m for m in found if sources.path_of(m).stem != "__init__"]) == []
 
 
 @pytest.mark.parametrize("room", [PACKAGE, *(f"{PACKAGE}.{room}" for room in ROOMS)])
@@ -61,8 +61,8 @@ def test_what_a_room_hands_out_is_documented_by_its_module(room):
 def test_the_reading_path_goes_one_way():
     assert PATH[0] == "esfem_core.surfaces.shapes"
     assert PATH[-1] == "esfem_core.stepping.run"
-    assert after_what_it_uses(PATH) == []
-    assert after_what_it_uses(PATH[::-1]) != []
+    assert too_early(PATH) == []
+    assert too_early(PATH[::-1]) != []
 
 
 def test_the_plan_shows_the_rooms_in_their_order():
