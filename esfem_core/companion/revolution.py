@@ -23,7 +23,7 @@ def cosine_mode(
     r"""Solve u' + u div v - lap u = 0 for u = U(θ, t) cos φ on a surface of revolution.
 
     θ is the angle from the axis x1 and φ the angle around it, of the point of the unit sphere from
-    which a material point comes. With the profile (X, R)(θ, t) of the surface and the length
+    which a material point comes. With the meridian (X, R)(θ, t) of the surface and the length
     density l = ``|d(X, R)/dθ|``, integration over φ leaves::
 
         d/dt int U W R l dθ + int (U_θ W_θ / l^2 + U W / R^2) R l dθ = 0,  U = 0 at the poles.
@@ -40,7 +40,7 @@ def cosine_mode(
     profile : callable
         U(θ, 0) of angles (n,), zero at the poles.
     times : sequence of float
-        Increasing, not negative.
+        Not decreasing, not negative.
     degree : int
         Of the polynomials on both halves, 2 or more.
 
@@ -52,7 +52,8 @@ def cosine_mode(
     Raises
     ------
     TypeError, ValueError
-        If the times do not increase from 0 on, or the degree is no integer of 2 or more.
+        If there are no times, or they decrease or are negative, or the degree is no integer of 2 or
+        more.
 
     Examples
     --------
@@ -65,7 +66,7 @@ def cosine_mode(
     degree = whole_number("degree", degree, 2)
     ends: list[float] = finite_array("times", times, ("n",)).tolist()
     if not ends or np.any(np.diff([0.0, *ends]) < 0):
-        raise ValueError(f"times must increase and not be negative, got {ends}")
+        raise ValueError(f"times must be one or more that do not decrease from 0 on, got {ends}")
     halves = _Halves(degree)
 
     M, _ = halves.mass_stiffness(motion, 0.0)

@@ -52,7 +52,7 @@ def test_degrees_and_times_are_refused_by_name():
     with pytest.raises(ValueError, match="degree must be an integer >= 2, got 1"):
         cosine_mode(lambda p, t: p, np.sin, [1.0], degree=1)
     for times in ([], [-1.0], [1.0, 0.5]):
-        with pytest.raises(ValueError, match="times must increase and not be negative"):
+        with pytest.raises(ValueError, match="times must be one or more that do not decrease"):
             cosine_mode(lambda p, t: p, np.sin, times)
     with pytest.raises(ValueError, match=r"times must be finite, but times\[1\] is nan"):
         cosine_mode(lambda p, t: p, np.sin, [0.5, np.nan])
