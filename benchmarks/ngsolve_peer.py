@@ -94,7 +94,12 @@ class Peer:
         return sp.csr_array((np.array(values), (np.array(rows), np.array(columns))), shape=(n, n))
 
 
-def evolve(space, order, step, n_steps, radius, solver="sparsecholesky"):
+def radius(t):
+    """Radius of the expanding sphere and its rate."""
+    return 1 + 0.5 * np.sin(np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)
+
+
+def evolve(space, order, step, n_steps, solver="sparsecholesky"):
     """[N] (2.19)-(2.21) for the expanding sphere with the smooth coupling, alpha = beta = 1.
 
     As a user of NGSolve would write it: matrices and loads by symbolic forms on the deformed
@@ -106,8 +111,6 @@ def evolve(space, order, step, n_steps, radius, solver="sparsecholesky"):
     ----------
     space : esfem_core.SurfaceSpace
     order, step, n_steps : int, float, int
-    radius : callable
-        t -> r, r'.
     solver : {"sparsecholesky", "lagged"}
 
     Yields

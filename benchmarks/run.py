@@ -37,11 +37,6 @@ from esfem_core.study import final
 RESULTS = Path("esfem_core/companion/data/performance.json")
 
 
-def radius(t):
-    """Radius of the expanding sphere and its rate."""
-    return 1 + 0.5 * np.sin(np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)
-
-
 def moved(space):
     """Nodes of the sphere, moved to another surface."""
     return space.nodes * [1, 1.2, 0.8] + 0.1 * np.sin(2 * space.nodes[:, [1, 2, 0]])
@@ -166,7 +161,7 @@ def step(solver, peer_solver, blocks=10, length=5):
         for tau in (1e-2, 1e-3):
             for order in (3, 5):
                 n = order + 6 + blocks * (length + 1)
-                theirs = ngsolve_peer.evolve(space, order, tau, n, radius, peer_solver)
+                theirs = ngsolve_peer.evolve(space, order, tau, n, peer_solver)
                 ours = ec.evolve(
                     space, problem, order, tau, n * tau, mass="extrapolated", solver=solver
                 )

@@ -7,7 +7,6 @@ refused with a message that helps, or anything else; the last must not be.
 
 import argparse
 import csv
-import random
 import signal
 import sys
 import warnings
@@ -169,7 +168,6 @@ def main() -> None:
     if given_arguments.cases < 1:
         parser.error("--cases must be 1 or more")
     matplotlib.use("agg")
-    random.seed(given_arguments.seed)
     counts: Counter[tuple[str, str]] = Counter()
     strange: list[str] = []
     part = 0

@@ -1,3 +1,5 @@
+"""What is refused at the door, and in which words."""
+
 import os
 from decimal import Decimal
 from fractions import Fraction

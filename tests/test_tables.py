@@ -1,3 +1,5 @@
+"""Tables for people: what does not fit is refused."""
+
 import pytest
 
 from esfem_core.tables import html_table

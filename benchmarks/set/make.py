@@ -29,7 +29,7 @@ def sphere(level):
 
 def torus(level):
     """256, 1,024 and 4,096 nodes."""
-    return ec.torus(1.0, 0.4, 8 * 2**level, 4 * 2**level // 2), TORUS.closest
+    return ec.torus(1.0, 0.4, 8 * 2**level, 2 * 2**level), TORUS.closest
 
 
 def moving_torus():

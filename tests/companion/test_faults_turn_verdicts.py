@@ -361,7 +361,7 @@ FAULTS = [
 
 
 @pytest.fixture(autouse=True)
-def _quiet(monkeypatch):
+def _as_in_the_build(monkeypatch):
     monkeypatch.setenv(STRICT, "1")
     matplotlib.use("Agg")
 

@@ -197,15 +197,6 @@ def test_mean_curvature_without_alpha_is_unstable_from_order_four_on(degree):
                 list(run)
 
 
-def test_this_instability_is_warned_of_at_the_call():
-    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
-    problem = ec.Problem(alpha=0.0, beta=1.0)
-    ec.evolve(space, problem, 3, 0.01, 0.1)
-    with pytest.warns(ec.EvolutionWarning, match="unstable for p = 4: .* p <= 3 or alpha > 0"):
-        ec.evolve(space, problem, 4, 0.01, 0.1)
-    ec.evolve(space, ec.Problem(alpha=0.0, beta=0.0), 5, 0.01, 0.1)
-
-
 def test_a_constant_tension_is_that_of_the_built_in_law():
     problem, same = ec.Problem(law=Tension(constant)), ec.Problem(alpha=0.0, beta=0.5)
     with pytest.warns(ec.EvolutionWarning, match="alpha = 0 with beta > 0"):

@@ -519,6 +519,7 @@ def test_alpha_zero_is_warned_of_at_the_call_and_inside_other_laws(wrapped):
     with pytest.warns(ec.EvolutionWarning, match="unstable for p = 4.*take p <= 3 or alpha > 0"):
         ec.evolve(linear, problem, 4, 0.01, 0.1)
     ec.evolve(linear, problem, 3, 0.01, 0.1)
+    ec.evolve(linear, ec.Problem(alpha=0.0, beta=0.0), 5, 0.01, 0.1)
 
 
 def test_a_slip_with_a_normal_part_is_warned_of_once():

@@ -1,5 +1,8 @@
 """A smooth surface that is known by its triangles only."""
 
+from functools import partial
+
+import level_sets
 import numpy as np
 import pytest
 import trimesh
@@ -13,19 +16,11 @@ from esfem_core.surfaces.smooth import _Flat
 
 TORUS = ec.exact_surfaces.Torus(1.0, 0.4)
 EGG = ec.exact_surfaces.Ellipsoid((1.5, 1.0, 0.7))
-
-
-def two_rings(x, kappa=0.2):
-    """A level set of genus 2."""
-
-    def ring(centre):
-        return np.hypot(np.hypot(x[:, 0] - centre, x[:, 1]) - 1, x[:, 2]) - 0.4
-
-    return -kappa * np.logaddexp(-ring(1.1) / kappa, -ring(-1.1) / kappa)
+two_rings = partial(level_sets.two_rings, k=0.2)
 
 
 class TwoRings:
-    """Its closest points and normals."""
+    """Closest points and normals of two rings."""
 
     closest = staticmethod(ec.project_to_level_set(two_rings))
 

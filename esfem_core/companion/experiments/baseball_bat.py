@@ -252,7 +252,7 @@ def time_errors(
     Returns
     -------
     dict
-        l2, h1 : relative errors at t = 1, one for each step, a multiple of 1/160.
+        l2, h1 : relative errors at t = 1, one for each step.
     """
     space, fine = _fine_run(refinements)
     M, A = space.mass_stiffness(fine[-1].x)
