@@ -53,6 +53,14 @@ __all__ = ["Elastic", "with_slip"]
 SlipName = Literal["elastic", "harmonic"]
 Slip = Callable[[Surface], Array]
 
+STABLE = (
+    1.7,
+    1.1,
+    0.8,
+    0.6,
+    0.45,
+)  # largest rate times step of p = 1, ..., 5 near a sphere, measured
+
 
 class Elastic:
     """The slip towards the least elastic deformation of the initial surface.
@@ -67,8 +75,8 @@ class Elastic:
     rate : float
         How fast, per unit of time; larger than the rate at which the surface deforms. It is
         explicit: (1 + area) times rate times the step must stay below about 1.7, 1.1, 0.8, 0.6,
-        0.45 for p = 1, ..., 5 near a sphere at the start, below a quarter of that near a torus of
-        radii 1 and 0.4, and below a tenth where the deformation is strong.
+        0.45 for p = 1, ..., 5 near a sphere at the start (a run warns of more), below a quarter of
+        that near a torus of radii 1 and 0.4, and below a tenth where the deformation is strong.
     area : float
         The weight a of the areas; 0 makes the map harmonic.
 
@@ -98,6 +106,16 @@ class Elastic:
 
     def __repr__(self) -> str:
         return f"Elastic(rate={self.rate:g}, area={self.area:g})"
+
+    def largest_step(self, order: int) -> float:
+        """Step from which on nodes run away on a sphere at rest, for p = order.
+
+        Examples
+        --------
+        >>> print(f"{Elastic().largest_step(2):.3f}")
+        0.055
+        """
+        return STABLE[min(order, len(STABLE)) - 1] / ((1 + self.area) * self.rate)
 
     def __call__(self, at: Surface) -> Array:
         """Velocity w of the nodes, (N, 3)."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
-from esfem_core.laws import Prescribed, positions_of
+from esfem_core.laws import Elastic, Prescribed, positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
@@ -196,7 +196,7 @@ def check_exact_functions(space: SurfaceSpace, problem: Problem, first: State) -
             )
 
 
-def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
+def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step: float) -> None:
     """Look at the slip of a law on the surface that a run starts from.
 
     Raises
@@ -207,10 +207,18 @@ def check_slip(space: SurfaceSpace, law: object, first: State) -> None:
     Warns
     -----
     EvolutionWarning
-        If a good part of it is normal.
+        If a good part of it is normal, or the step too long for it.
     """
     if not hasattr(law, "slip"):
         return
+    w = getattr(law, "w", None)
+    if isinstance(w, Elastic) and step > (most := w.largest_step(order)):
+        warnings.warn(
+            f"the step must be below {most:.3g} with the slip {w!r}, which is explicit, for order "
+            f"{order}, got {step:g}: with more, nodes run away; a smaller rate allows longer steps",
+            EvolutionWarning,
+            stacklevel=3,
+        )
     at = Surface(space, first.x, first.fields, first.t)
     w = law.slip(at)
     if w is None:

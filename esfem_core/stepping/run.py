@@ -250,7 +250,7 @@ def evolve(
     if given == "exact":
         check_exact_functions(space, problem, first)
     check_precision(problem.law, first)
-    check_slip(space, problem.law, first)
+    check_slip(space, problem.law, first, order, step)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     if file is None:

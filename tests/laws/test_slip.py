@@ -115,12 +115,27 @@ def smallest_angle(space, x):
     return np.degrees(np.arccos(cosine)).min()
 
 
+@pytest.mark.parametrize(("order", "step"), [(1, 0.09), (2, 0.06), (3, 0.05)])
+def test_a_step_that_is_too_long_for_the_elastic_slip_is_warned_of(order, step):
+    rest = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1), 2, ec.to_unit_sphere)
+    most = ec.laws.Elastic().largest_step(order)
+    with pytest.warns(
+        ec.EvolutionWarning, match=f"step must be below {most:.3g} with .* got {step:g}"
+    ):
+        ec.evolve(
+            space, ec.Problem(1.0, law=ec.laws.with_slip(rest, "elastic")), order, step, 3 * step
+        )
+    for law in (ec.laws.with_slip(rest, ec.laws.Elastic(rate=1.0)), rest):
+        ec.evolve(space, ec.Problem(1.0, law=law), order, step, 3 * step)
+
+
 def test_a_law_with_a_slip_does_not_keep_the_spaces_of_its_runs():
     law = ec.laws.with_slip(ec.laws.Regularised(1.0, 1.0, None), "elastic")
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
-    for state in ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.1, 0.2):
+    for state in ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.05, 0.1):
         last = state.t
-    assert last == 0.2
+    assert last == 0.1
     gone = weakref.ref(space)
     del space, state
     gc.collect()
