@@ -55,6 +55,9 @@ class ElementError(ArithmeticError):
         super().__init__(message)
         self.element = element
 
+    def __reduce__(self) -> tuple[object, ...]:  # for pools: exceptions are pickled by their text
+        return type(self), (str(self), self.element), vars(self)
+
 
 class DegenerateElementError(ElementError):
     """An element has lost its area or turned over, or a nodal position is not finite."""

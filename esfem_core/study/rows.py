@@ -75,6 +75,9 @@ class UnsavedRowsError(OSError):
         super().__init__(message)
         self.rows = rows
 
+    def __reduce__(self) -> tuple[object, ...]:  # for pools: exceptions are pickled by their text
+        return type(self), (str(self), self.rows), vars(self)
+
 
 def plain(name: str, value: Any, *, arrays: bool = True) -> Any:
     """A value as JSON can hold it: NumPy's scalars as numbers, its arrays as lists.

@@ -56,6 +56,9 @@ class TooCoarseError(ValueError):
         super().__init__(message)
         self.corners = corners
 
+    def __reduce__(self) -> tuple[object, ...]:  # for pools: exceptions are pickled by their text
+        return type(self), (str(self), self.corners), vars(self)
+
 
 class Guide(NamedTuple):
     """A surface, as triangles that move along it see it.
