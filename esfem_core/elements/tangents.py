@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Ints, finite_array, number, object_of
+from esfem_core.checks import Array, Ints, finite_array, frozen, number, object_of
 from esfem_core.elements.lagrange import tabulate
 from esfem_core.elements.recovery import nodal_average
 from esfem_core.elements.surface import Surface
@@ -33,6 +33,8 @@ class TangentPlanes:
 
     Attributes
     ----------
+    space, x, spacing
+        As given, those of the surface; arrays are read-only.
     nodal : (N, 3) float array
         Unit normals at the nodes.
 
@@ -56,6 +58,8 @@ class TangentPlanes:
     def __init__(self, at: Surface, spacing: float | Array, normal: Array | None = None) -> None:
         space = object_of("at", at, Surface).space
         spacing = _positive(spacing, len(space.cells))
+        # What tells them from others.
+        self.space, self.x, self.spacing = space, at.x, spacing
         if normal is None:
             normal = nodal_average(at, at.normal)
         normal = finite_array("normal", normal, at.x.shape)
@@ -127,7 +131,7 @@ def _positive(spacing: ArrayLike, n_cells: int) -> float | Array:
     if not (each > 0).all():
         t = int(np.argmin(each > 0))
         raise ValueError(f"spacing must be > 0, but spacing[{t}] is {each[t]}")
-    return each
+    return frozen(each)
 
 
 def _centres(parts: int) -> Array:

@@ -208,6 +208,8 @@ def run(
 
     What `compute` uses besides its parameters must stay what it is: a dict in which it keeps meshes
     makes its rows out of date, and ``functools.cache``, on a function that makes them, does not.
+    Objects of other packages that cannot be pickled, such as a factorisation of CHOLMOD, make them
+    so in every run: make these in `compute`.
 
     Examples
     --------

@@ -20,18 +20,21 @@ import re
 import sys
 import sysconfig
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, ItemsView, Iterator, KeysView, Mapping, ValuesView
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
+from uuid import uuid4
 from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 import numpy as np
 import trimesh
 from scipy.sparse import issparse
+from scipy.sparse.linalg import SuperLU
 
 from esfem_core.elements import SurfaceSpace
 from esfem_core.study import dependencies, loaded
@@ -74,10 +77,12 @@ def code_of(function: Callable[..., Any]) -> str:
     For a user's function, other functions and classes of the user that it reaches count, and the
     values of the names that it uses: numbers, strings, arrays, sparse matrices, containers of
     them, laws, problems, spaces, triangulations, and other objects. Those of the user's classes
-    and of other packages count by what pickle would keep of them, or by their class if it keeps
-    nothing; those of this package by what their constructor took, if they keep all of it, or by
-    their public attributes. Modules count as far as they are used, and those of other packages by
-    their names.
+    and of other packages count by what pickle would keep of them. What it cannot keep counts by its
+    attributes, or, if it has none, by its class if that is Python's own, such as a lock; of other
+    packages it is another one at each look, so that no result that it may have changed is taken for
+    that of today. Objects of this package count by what their constructor took, if they keep all of
+    it, or else by their public attributes, or by all if none is. Modules count as far as they are
+    used, compiled ones by their files, and those of other packages by their names.
 
     Examples
     --------
@@ -134,6 +139,7 @@ def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
         else:
             seen[id(value)] = len(seen), value
             text, parts = _told(value)
+            text += _compiled(value)
             if isinstance(value, set | frozenset):  # each by itself: their order is none
                 parts = sorted(
                     repr(part) if type(part) in BY_TEXT else _digest(part, dict(seen))
@@ -188,8 +194,14 @@ def _told_of_library(value: Any) -> Told:
     if isinstance(value, Mapping):
         parts = [part for item in value.items() for part in item]
         return f"{name} of {len(value)}", [getattr(value, "default_factory", None), *parts]
-    if isinstance(value, list | tuple | set | frozenset):
+    if isinstance(value, list | tuple | set | frozenset | KeysView | ValuesView | ItemsView):
         return f"{name} of {len(value)}", list(value)
+    if isinstance(value, CodeType):
+        return name, loaded.byte_code(value)
+    if isinstance(value, memoryview):
+        return name, [value.format, value.shape, value.tobytes()]
+    if isinstance(value, SuperLU):
+        return name, [value.L, value.U, value.perm_r, value.perm_c]
     if isinstance(value, MethodType):
         return name, [value.__func__, value.__self__]
     if isinstance(value, BuiltinFunctionType):
@@ -219,6 +231,21 @@ def _told_of_module(module: ModuleType) -> Told:
     if _is_library(name):
         return name, []
     return "", [{key: v for key, v in vars(module).items() if not key.startswith("_")}]
+
+
+def _compiled(value: Any) -> str:
+    """Hash of the file of a user's compiled module that a value is or stands in, if it does."""
+    named = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
+    module = sys.modules.get(named) if isinstance(named, str) else None
+    return "" if module is None or _is_library(named) else _hash_of_file(module)
+
+
+@cache  # by what is loaded: the file may be made anew in the meantime
+def _hash_of_file(module: ModuleType) -> str:
+    file = getattr(module, "__file__", None) or ""
+    if not file.endswith(tuple(EXTENSION_SUFFIXES)):
+        return ""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
 def _told_of_class(value: type) -> Told:
@@ -262,7 +289,7 @@ def _made_of(value: Any) -> Any:
     """What tells an object of this package from others of its class, without caches of it.
 
     That is what its constructor was given, if it keeps all of it under the same names, and else
-    its public attributes.
+    its public attributes, or all if none is.
     """
     if isinstance(value, tuple):
         return tuple(value)
@@ -279,7 +306,8 @@ def _made_of(value: Any) -> Any:
             given[name] = getattr(value, name)
     if names and len(given) == len(names):
         return given
-    return given | {name: part for name, part in attributes.items() if not name.startswith("_")}
+    public = {name: part for name, part in attributes.items() if not name.startswith("_")}
+    return given | (public or attributes)
 
 
 def _kept(value: Any) -> Any:
@@ -291,6 +319,8 @@ def _kept(value: Any) -> Any:
     try:
         reduced = registered(value) if registered else value.__reduce_ex__(4)
     except Exception:  # whatever its class finds wrong with it
+        if not attributes and _head(_module_of(type(value))) not in sys.stdlib_module_names:
+            return uuid4().hex  # nothing tells it from others, which may hold other numbers
         return _without_caches(value, attributes)
     if isinstance(reduced, str):
         return reduced

@@ -15,6 +15,7 @@ from datetime import date
 from decimal import Decimal
 from enum import Enum
 from fractions import Fraction
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from threading import Lock
 
@@ -26,10 +27,13 @@ import sympy
 from scipy.sparse import coo_array
 
 import esfem_core as ec
+from esfem_core.elements import Smoothing, TangentPlanes
+from esfem_core.solvers import cholmod, superlu
 from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, user_code
 from esfem_core.study.dependencies import code_hash
 from esfem_core.study.user_code import code_of, pieces
+from esfem_core.surfaces import Balls
 
 SOURCE = '''
 import numpy as np
@@ -208,6 +212,11 @@ def space(refinements):
     return ec.SurfaceSpace(ec.sphere("octahedron", refinements))
 
 
+def surface(radius):
+    return ec.Surface(SPACE, radius * SPACE.nodes)
+
+
+SPACE, EYE = space(1), scipy.sparse.csc_array(np.eye(3))
 FORMATS = ("csr", "csc", "coo", "lil", "dok", "dia", "bsr")
 
 
@@ -282,6 +291,19 @@ FORMATS = ("csr", "csc", "coo", "lil", "dok", "dia", "bsr")
         (decorated(1), decorated(2)),
         (functools.wraps(bdf.delta)(lambda: 1), functools.wraps(bdf.delta)(lambda: 2)),
         (functools.wraps(np.sum)(lambda: 1), functools.wraps(np.sum)(lambda: 2)),
+        (TangentPlanes(surface(1), 0.1), TangentPlanes(surface(2), 0.1)),
+        (TangentPlanes(surface(1), 0.1), TangentPlanes(surface(1), 0.2)),
+        (Smoothing(surface(1)), Smoothing(surface(2))),
+        (superlu(surface(1).M), superlu(surface(2).M)),
+        (superlu(surface(1).M).solve, superlu(surface(2).M).solve),
+        (scipy.sparse.linalg.splu(EYE), scipy.sparse.linalg.splu(2 * EYE)),
+        (Balls(np.zeros((1, 3)), np.ones(1)), Balls(np.ones((1, 3)), np.ones(1))),
+        ({"a": 1}.keys(), {"b": 1}.keys()),
+        ({"a": 1}.values(), {"a": 2}.values()),
+        ({"a": 1}.items(), {"a": 2}.items()),
+        (memoryview(b"ab"), memoryview(b"ac")),
+        (memoryview(b"abc")[1:], memoryview(b"abc")[:-1]),
+        (compile_("x + 1", "", "eval"), compile_("x + 2", "", "eval")),
     ],
 )
 def test_another_value_of_a_name_is_other_code(old, new):
@@ -575,6 +597,33 @@ def test_what_cannot_be_pickled_counts_by_its_class():
     with two:
         assert code_of(make(one)) == code_of(make(Lock()))
         assert code_of(make(one)) != code_of(make(two))
+
+
+def test_what_nothing_tells_from_others_is_another_one_at_each_look():
+    pytest.importorskip("cholespy")
+    factor = cholmod(surface(1).M)
+    assert code_of(lambda: factor) != code_of(lambda: factor)
+
+
+def test_a_compiled_module_of_the_user_counts_by_its_file(tmp_path, monkeypatch):
+    def compute():
+        return kernel.scaled
+
+    def whole():
+        return vars(kernel)
+
+    codes, file = [], tmp_path / f"kernel{EXTENSION_SUFFIXES[-1]}"
+    for text in ("one", "one", "two"):
+        kernel = types.ModuleType("kernel")
+        kernel.__file__ = str(file)
+        kernel.scaled = type("scaled", (), {"__module__": "kernel"})
+        file.write_text(text)
+        monkeypatch.setitem(sys.modules, "kernel", kernel)
+        codes.append([code_of(compute), code_of(kernel.scaled), code_of(whole)])
+        file.write_text("made anew while it is loaded")
+        assert code_of(compute) == codes[-1][0]
+    assert codes[0] == codes[1]
+    assert not set(codes[1]) & set(codes[2])
 
 
 def test_what_a_space_or_a_mesh_has_computed_in_the_meantime_does_not_count():
