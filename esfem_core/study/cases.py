@@ -97,7 +97,7 @@ def grid(**values: Iterable[Any]) -> list[dict[str, Any]]:
     Raises
     ------
     TypeError
-        If a parameter is given one value and not a sequence; strings are values.
+        If a parameter is given one value and not a sequence; strings and dicts are values.
 
     Examples
     --------
@@ -105,7 +105,7 @@ def grid(**values: Iterable[Any]) -> list[dict[str, Any]]:
     [{'order': 1, 'step': 0.1}, {'order': 1, 'step': 0.05}, {'order': 2, 'step': 0.1}]
     """
     for name, given in values.items():
-        single = isinstance(given, str | bytes) or (
+        single = isinstance(given, str | bytes | Mapping) or (
             isinstance(given, np.ndarray) and not given.ndim
         )
         if single or not isinstance(given, Iterable):

@@ -172,7 +172,7 @@ def test_numpy_values_are_kept_as_numbers_and_lists(tmp_path):
     def compute(name):
         return {"value": VALUES[name][0]}
 
-    results, _ = study(tmp_path, grid(name=VALUES), compute)
+    results, _ = study(tmp_path, grid(name=list(VALUES)), compute)
     assert [row.results["value"] for row in results.rows] == [v for _, v in VALUES.values()]
     assert read(tmp_path / "compute.jsonl") == results.rows
 
@@ -273,7 +273,7 @@ def test_rows_are_selected_by_what_tells_cases_apart(tmp_path):
     assert select(rows, other=1) == []
 
 
-@pytest.mark.parametrize("values", ["updated", 3, np.array(2)])
+@pytest.mark.parametrize("values", ["updated", 3, np.array(2), {"tol": 1e-3, "order": 2}])
 def test_a_single_value_is_no_sequence_of_values(values):
     with pytest.raises(
         TypeError, match=r"mass must be a sequence of values, got .*; a tuple holds"
