@@ -311,7 +311,7 @@ def time_study(
         the exact solution if None.
     measure : callable, optional
         How to compare with the exact solution: :func:`esfem_core.errors.compare`, at the nodes,
-        or :func:`esfem_core.errors.lifted`, on the exact surface.
+        or :func:`esfem_core.errors.lifted`, on the exact surface. Not with `reference` or `fine`.
     fine : sequence of State, optional
         A run with a constant step, of which all `steps` are multiples, that ends at `end`. Its
         last state is the reference, and each run starts with states of it, the first at
@@ -469,6 +469,10 @@ def _check_comparable(problem: Problem, reference: State | None, measure: Measur
     function("measure", measure, "measure(space, problem, state)")
     object_of("problem", problem, Problem)
     exact = problem.exact
+    if reference is not None and measure is not compare:
+        raise ValueError(
+            "measure compares with the exact solution: leave it out with reference or fine"
+        )
     if reference is not None or measure not in (compare, lifted):
         return
     if exact is None:

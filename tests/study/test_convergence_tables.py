@@ -214,6 +214,9 @@ def test_studies_refuse_before_they_compute():
     other = ec.State(0.5, coarse.nodes, None, coarse.nodes[:, 0], space=coarse)
     with pytest.raises(ValueError, match="reference must be a state of this space"):
         time_study(SPACE, GROWING, 2, [0.1], 0.5, reference=other, solver=solver)
+    for given in ({"reference": FINE[-1]}, {"fine": FINE}):
+        with pytest.raises(ValueError, match="measure compares with the exact solution: leave it"):
+            time_study(SPACE, GROWING, 2, [0.1], 0.5, measure=print, solver=solver, **given)
     uneven = [FINE[0], FINE[16], *FINE[24:]]
     with pytest.raises(ValueError, match=r"fine must have a constant step, but t = 0\.15 is no mu"):
         time_study(SPACE, GROWING, 2, [0.1], 0.5, fine=uneven, solver=solver)
