@@ -24,6 +24,7 @@ __all__ = [
     "Array",
     "Bools",
     "Ints",
+    "ReadOnly",
     "check_array",
     "check_even",
     "check_nodes",
@@ -42,6 +43,7 @@ __all__ = [
     "output_path",
     "package",
     "path_of",
+    "read_only",
     "real_array",
     "shown",
     "string",
@@ -462,6 +464,34 @@ def frozen(values: Array) -> Array:
         array = array.copy()
         array.setflags(write=False)
     return array
+
+
+def read_only(*held: object) -> None:
+    """Nobody can write any more to arrays, nor to those in dicts and tuples.
+
+    Examples
+    --------
+    >>> x, y = np.zeros(3), np.zeros(3)
+    >>> read_only(x, {"a": (y, 1)})
+    >>> x.flags.writeable, y.flags.writeable
+    (False, False)
+    """
+    for value in held:
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+        elif isinstance(value, dict | tuple):
+            read_only(*(value.values() if isinstance(value, dict) else value))
+
+
+class ReadOnly:
+    """An object whose arrays are read-only, also when it was unpickled or copied.
+
+    Pickles and copies of arrays can be written to.
+    """
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        read_only(kept)
 
 
 def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Array:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, Bools
+from esfem_core.checks import Array, Bools, ReadOnly, read_only
 from esfem_core.elements.lagrange import Basis
 from esfem_core.elements.quadrature import TriangleRule
 from esfem_core.surfaces import FLATTEST
@@ -92,7 +92,7 @@ class Metric(NamedTuple):
         return n
 
 
-class ElementTables:
+class ElementTables(ReadOnly):
     """Basis functions, their derivatives and their products, tabulated once.
 
     Parameters
@@ -126,9 +126,9 @@ class ElementTables:
         self.stiffness = np.hstack(stiffness)  # (P, 3Q), for the factors G/s, F/s, E/s
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
-                own = array.copy(order="K")  # the last bits of products depend on the layout
-                own.setflags(write=False)
-                setattr(self, name, own)
+                # The last bits of products depend on the layout.
+                setattr(self, name, array.copy(order="K"))
+        read_only(vars(self))
 
     def metric(self, nodes: Array, first: int = 0) -> Metric:
         """Metric of elements with the given node positions.

@@ -124,8 +124,6 @@ class SparsePattern:
             self.pattern.data = self.pattern.data.astype(np.int32)
         self.pattern.indices = self.pattern.indices.astype(np.int32)
         self.pattern.indptr = self.pattern.indptr.astype(np.int32)
-        for shared in (self.pattern.data, self.pattern.indices, self.pattern.indptr):
-            shared.setflags(write=False)  # all matrices of the space have these indices
         self._n_sums = len(rows)
 
     def _part(self, places: Ints, ones: Array) -> tuple[csr_array, slice, Ints]:

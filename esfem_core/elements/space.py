@@ -24,6 +24,7 @@ from esfem_core.checks import (
     function,
     integer_array,
     one_of,
+    read_only,
     real_array,
     shown,
     whole_number,
@@ -56,6 +57,7 @@ from esfem_core.surfaces import (
 __all__ = ["NodeOrder", "SurfaceSpace"]
 
 NodeOrder = Literal["vtk", "gmsh", "meshio"]  # on triangles these are one order
+SHARED = ("nodes", "cells", "boundary_nodes", "rule", "neighbours", "elimination_order")
 Entries = Callable[[slice, Metric], tuple[Array, ...]]
 
 
@@ -332,10 +334,16 @@ class SurfaceSpace:
         self.pattern = self._scatter.pattern
         self._sum = NodalSum(self.cells, len(self.nodes))
         self._cells_last = np.ascontiguousarray(self.cells.T)  # (n, T)
-        self.nodes.setflags(write=False)
-        self.cells.setflags(write=False)
-        self.boundary_nodes.setflags(write=False)
+        self._protect()
         self._check_elements(advice)
+
+    def _protect(self) -> None:
+        """Let nobody write to what matrices and states share; pickles do not keep that."""
+        read_only(*(vars(self).get(name) for name in SHARED), vars(self.pattern))
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._protect()
 
     def _check_elements(self, advice: str) -> None:
         """Refuse curved elements that fold back: what is accepted has a mass matrix."""
@@ -687,7 +695,9 @@ class SurfaceSpace:
     @cached_property
     def neighbours(self) -> Ints:
         """Pairs of elements that have a side in common, (2, E)."""
-        return np.asarray(sides_of(self.cells[:, :3]).pairs().T // 3)
+        pairs: Ints = sides_of(self.cells[:, :3]).pairs().T // 3
+        pairs.setflags(write=False)
+        return pairs
 
     @cached_property
     def elimination_order(self) -> Ints:

@@ -115,7 +115,8 @@ class Surface:
         return f"Surface(t={self.t:g}, nodes={len(self.x)}, fields: {names or 'none'})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "fields": dict(self.fields)}  # a read-only view cannot be copied
+        # A read-only view cannot be copied, and what is known can be computed again.
+        return {**vars(self), "fields": dict(self.fields), "_known": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         fields = {name: frozen(values) for name, values in state["fields"].items()}

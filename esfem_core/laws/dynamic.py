@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, frozen, function, number
+from esfem_core.checks import Array, ReadOnly, finite_array, frozen, function, number
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
@@ -45,7 +45,7 @@ __all__ = ["Dynamic"]
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamic(Law):
+class Dynamic(ReadOnly, Law):
     r"""The dynamic law, whose velocity is accelerated.
 
     .. math::

@@ -8,6 +8,7 @@ import numpy as np
 from esfem_core.checks import (
     Array,
     Ints,
+    ReadOnly,
     check_even,
     finite_array,
     frozen,
@@ -24,7 +25,7 @@ KINDS = "a number, a function g(x, t), or a pair (nodes, values)"
 
 
 @dataclass(frozen=True, eq=False)
-class Fixed:
+class Fixed(ReadOnly):
     """What ``Species(fixed=...)`` says.
 
     Attributes

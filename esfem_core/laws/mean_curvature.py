@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, finite_array, frozen, function, number, real_array
+from esfem_core.checks import Array, ReadOnly, finite_array, frozen, function, number, real_array
 from esfem_core.elements import (
     Surface,
     nodal_average,
@@ -50,7 +50,7 @@ Initial = Callable[[Array], ArrayLike] | Array
 
 
 @dataclass(frozen=True, eq=False)
-class MeanCurvature(Law):
+class MeanCurvature(ReadOnly, Law):
     r"""v = (g - beta H) nu, with nu and H from equations of their own.
 
     It carries the functions "normal", (N, 3), and "H", (N,), which are not those of the discrete

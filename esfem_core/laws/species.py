@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import (
     Array,
+    ReadOnly,
     check_even,
     check_nodes,
     finite_array,
@@ -65,7 +66,7 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Species:
+class Species(ReadOnly):
     r"""A substance that diffuses on the surface and is carried with it.
 
     It solves

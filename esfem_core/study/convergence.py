@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from esfem_core.checks import (
     Array,
+    ReadOnly,
     finite_array,
     frozen,
     function,
@@ -96,7 +97,7 @@ def _orders(sizes: Array, values: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class ConvergenceTable:
+class ConvergenceTable(ReadOnly):
     """Errors for a sequence of step sizes or mesh sizes; displays as a table in a notebook.
 
     Parameters

@@ -23,7 +23,7 @@ the crease goes to the curve where the two smooth surfaces meet, and its triangl
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Ints, finite_array, number
+from esfem_core.checks import Array, Ints, ReadOnly, finite_array, number, read_only
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.faults import fans
 from esfem_core.surfaces.foot_points import FootPoints
@@ -109,7 +109,7 @@ def _check_closed(tri: trimesh.Trimesh) -> None:
         ) from None
 
 
-class SmoothSurface:
+class SmoothSurface(ReadOnly):
     """A smooth surface through the vertices of a triangulation, made by :func:`smooth`.
 
     Called with points, it takes them to the closest points of the flat triangles, and these to
@@ -157,8 +157,7 @@ class SmoothSurface:
         self._trust = flat.trust(self._graphs, self._fan)
         self._foot = FootPoints(flat.corners)
         self._calm(flat)
-        for array in (self.vertices, self.faces, self.creases):
-            array.setflags(write=False)
+        read_only(vars(self))
 
     def __repr__(self) -> str:
         return (

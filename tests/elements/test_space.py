@@ -1,10 +1,17 @@
 """Making a space: numbering, nodes, and what is refused."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
 
 import esfem_core as ec
+
+
+def pickled(space):
+    return pickle.loads(pickle.dumps(space))
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
@@ -99,20 +106,35 @@ def test_an_exactness_is_accepted_from_the_one_on_that_messages_name(degree):
         ec.SurfaceSpace(tri, degree, exactness=least - 1)
 
 
+@pytest.mark.parametrize("back", [lambda space: space, pickled, copy.copy, copy.deepcopy])
 @pytest.mark.parametrize("degree", [1, 2, 5])
-def test_nobody_can_write_to_what_a_space_remembers(degree):
+def test_nobody_can_write_to_what_a_space_remembers(degree, back):
     """Nor to what its arrays are views of."""
     space = ec.SurfaceSpace(TRI, degree)
-    given = {**vars(space.tables), **space.rule._asdict(), "order": space.elimination_order}
+    assert len(space.elimination_order) == len(space.nodes) > space.neighbours.min()
+    space = back(space)
+    given = {**vars(space.tables), **space.rule._asdict(), **vars(space.pattern)}
+    assert not given.pop("data").flags.writeable
     arrays = {name: a for name, a in {**vars(space), **given}.items() if isinstance(a, np.ndarray)}
     assert {"nodes", "cells", "boundary_nodes", "points", "weights", "values", "tests"} < set(
         arrays
     )
     for name in arrays.keys() - {"_cells_last"}:
         array = arrays[name]
-        while array is not None:
+        while isinstance(array, np.ndarray):  # pickles may end in bytes
             assert not array.flags.writeable, name
             array = array.base
+
+
+@pytest.mark.parametrize("back", [pickled, copy.deepcopy])
+def test_no_matrix_changes_the_pattern_of_the_next_one(back):
+    space = back(ec.SurfaceSpace(TRI))
+    first, second = (space.mass_stiffness(space.nodes)[1] for _ in range(2))
+    with pytest.raises(ValueError, match="read-only"):
+        first.eliminate_zeros()
+    assert space.mass_stiffness(space.nodes)[1].nnz == second.nnz == len(second.data)
+    own = second.copy()
+    own.eliminate_zeros()
 
 
 def test_methods_refuse_wrong_shapes():

@@ -1,5 +1,7 @@
 """The surface that sources, coefficients and laws see, against other ways to compute the same."""
 
+import copy
+import pickle
 from itertools import permutations, product
 from math import factorial
 
@@ -328,6 +330,17 @@ def test_all_arrays_are_read_only(case):
     for name in ("M", "A", "u", "normal", "density"):
         with pytest.raises(AttributeError):
             setattr(at, name, None)
+
+
+@pytest.mark.parametrize("back", [lambda at: pickle.loads(pickle.dumps(at)), copy.deepcopy])
+def test_arrays_of_pickles_and_copies_are_the_same_and_read_only(case, back):
+    at = ec.Surface(*case)
+    before = {key: get(at, key) for key in KEYS}
+    again = back(at)
+    for key, array in before.items():
+        np.testing.assert_array_equal(get(again, key), array)
+        assert not get(again, key).flags.writeable
+    assert not again.space.nodes.flags.writeable
 
 
 def test_one_object_is_one_surface_whatever_becomes_of_the_callers_arrays(case):

@@ -337,8 +337,10 @@ def test_problems_exact_solutions_and_surfaces_can_be_copied():
     assert set(bat.species) == {"u"}
     with pytest.raises(TypeError):
         bat.species["v"] = None
-    problem = pickle.loads(pickle.dumps(ec.Problem(1.0)))
-    assert problem.species["u"].initial == 1.0
+    problem = pickle.loads(pickle.dumps(ec.Problem(np.ones(6), law=ec.laws.Dynamic(np.ones(3)))))
+    for array in (problem.species["u"].initial, problem.law.v0):
+        assert (array == 1).all()
+        assert not array.flags.writeable
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     at = pickle.loads(pickle.dumps(ec.Surface(space, space.nodes, space.nodes[:, 0])))
     assert np.array_equal(at.fields["u"], space.nodes[:, 0])

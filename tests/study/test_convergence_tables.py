@@ -1,5 +1,7 @@
 """Tables of errors and observed orders."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -239,8 +241,10 @@ def test_no_caller_changes_a_table():
     table = ConvergenceTable("h", sizes, {"x": errors})
     sizes[0] = errors[0] = 7
     assert str(table).splitlines()[1].split() == ["0.2", "4.00e+00"]
-    with pytest.raises(ValueError, match="read-only"):
-        table["x"][0] = 7
+    for again in (table, copy.deepcopy(table)):
+        for array in (again.sizes, again["x"]):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 7
 
 
 def test_rows_tables_and_names_that_are_none_are_told():

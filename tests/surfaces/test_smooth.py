@@ -1,5 +1,6 @@
 """A smooth surface that is known by its triangles only."""
 
+import pickle
 from functools import partial
 
 import level_sets
@@ -170,10 +171,12 @@ def test_only_angles_above_the_limit_are_sharp():
 
 
 def test_what_a_smooth_surface_tells_of_itself_is_read_only():
-    s = ec.smooth(trimesh.creation.box())
-    for array in (s.vertices, s.faces, s.creases):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0
+    first = ec.smooth(trimesh.creation.box())
+    for s in (first, pickle.loads(pickle.dumps(first))):
+        assert (s(first.vertices) == first(first.vertices)).all()
+        for array in (s.vertices, s.faces, s.creases):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0
 
 
 def test_an_octahedron_is_a_ball_if_no_edge_is_a_crease():
