@@ -460,7 +460,9 @@ def frozen(values: Array) -> Array:
     array = base = values
     while isinstance(base.base, np.ndarray) and not base.flags.writeable:
         base = base.base
-    if base.flags.writeable:
+    # Memory of another object, such as a file, may change whatever NumPy says; bytes do not.
+    elsewhere = base.base is not None and not isinstance(base.base, bytes)
+    if base.flags.writeable or elsewhere:
         array = array.copy()
         array.setflags(write=False)
     return array

@@ -13,6 +13,7 @@ from esfem_core.checks import (
     check_even,
     finite_array,
     flag,
+    frozen,
     integer_array,
     number,
     one_of,
@@ -231,3 +232,19 @@ class TestPaths:
         link.unlink()
         link.symlink_to(tmp_path)
         self.refused(link, ValueError, "save must be a file, but .* is a directory")
+
+
+def test_memory_of_others_is_copied_and_ones_own_and_bytes_are_not(tmp_path):
+    np.save(tmp_path / "x.npy", np.ones((2, 3)))
+    mapped = np.load(tmp_path / "x.npy", mmap_mode="r")
+    kept, part = frozen(real_array("x", mapped, (2, 3))), frozen(mapped[0])
+    np.load(tmp_path / "x.npy", mmap_mode="r+")[:] = 0
+    assert (mapped[0] == 0).all()
+    assert (kept == 1).all()
+    assert (part == 1).all()
+    own = np.ones(3)
+    own.setflags(write=False)
+    for good in (own, own[::2], np.frombuffer(bytes(8))):
+        assert frozen(good) is good
+    shared = np.frombuffer(memoryview(bytearray(8)).toreadonly())
+    assert not np.shares_memory(frozen(shared), shared)
