@@ -31,6 +31,7 @@ Parts = dict[str, Any]  # of plotly's description of a picture
 Range = tuple[float, float]
 
 LONGEST = 60_000  # milliseconds of a frame
+BEYOND = 50  # ranges of colours beside their own in which values are told
 
 # fmt: off
 SURFACE: Parts = {
@@ -129,7 +130,7 @@ def viewer(
         "duration": duration,
         "trace": _trace(shades, label, plain=shots[0].colours is None),
         "layout": LAYOUT | {"scene": _scene(room)},
-        **_data(shots, room),
+        **_data(shots, room, shades),
     }
     script = resources.files("esfem_core.output").joinpath("viewer.js").read_text("utf8")
     style = resources.files("esfem_core.output").joinpath("viewer.css").read_text("utf8")
@@ -162,11 +163,15 @@ def _plotly() -> str:
     return f"<script>window.PlotlyConfig = {{MathJaxConfig: 'local'}};{get_plotlyjs()}</script>"
 
 
-def _data(shots: Sequence[Shot], room: Cube) -> Parts:
+def _data(shots: Sequence[Shot], room: Cube, shades: Range) -> Parts:
     """Positions, values and triangles as text; triangles of a later frame if the space changes."""
     centre, reach = room
     sides = [(middle - reach, middle + reach) for middle in centre.tolist()]
-    ranges = [*sides, colour_range([shot.colours for shot in shots])]
+    low, high = shades
+    # Farther off, values count as these, so that those that have colours of their own stay apart.
+    least, most = low - BEYOND * (high - low), high + BEYOND * (high - low)
+    values = np.clip(colour_range([shot.colours for shot in shots]), least, most)
+    ranges = [*sides, tuple(values.tolist())]
     frames = [
         [_packed(values, r) for values, r in zip(_columns(shot), ranges, strict=True)]
         for shot in shots

@@ -81,10 +81,14 @@ def test_an_animation_has_the_limits_it_is_given(run, monkeypatch):
     assert '"cmax":7.75' in text
 
 
+def film_of(text):
+    """What the script of an animation is given."""
+    return json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")[1]
+
+
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
-    text = ec.animate(run).text
-    _, film = json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")
+    film = film_of(ec.animate(run).text)
     for state, columns in zip(run, film["frames"], strict=True):
         whole = [np.frombuffer(base64.b64decode(c), "<u2") for c in columns]
         for values, n, (low, high) in zip(
@@ -93,6 +97,20 @@ def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
             assert abs(low + n * (high - low) / 65535 - values).max() <= (high - low) / 65535
     corners = [np.frombuffer(base64.b64decode(c), "<u4") for c in film["triangles"][0]]
     assert (flat_triangles(run[0].space.cells, 2) == np.array(corners).T).all()
+
+
+@pytest.mark.parametrize(("factor", "last"), [(20, 20), (1e6, 101)])
+def test_values_between_the_limits_stay_apart_whatever_comes_later(run, monkeypatch, factor, last):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    grown = ec.State(2.0, run[0].x, u=factor * run[0].u, space=run[0].space)
+    film = film_of(ec.animate([*run, grown], limits=(-1, 1)).text)
+    low, high = film["ranges"][3]
+    first, *_, end = (
+        low + np.frombuffer(base64.b64decode(columns[3]), "<u2") * (high - low) / 65535
+        for columns in film["frames"]
+    )
+    np.testing.assert_allclose(first, run[0].u, rtol=0, atol=2e-3)
+    assert end.max() == pytest.approx(last)
 
 
 def test_animation_has_controls_of_the_browser_and_stills_for_paper(run, monkeypatch):
