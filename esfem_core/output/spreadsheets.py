@@ -75,15 +75,11 @@ class TableWriter:
             raise ValueError(
                 f"rows must all have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
             )
-        text = io.StringIO()
-        lines = csv.writer(text, lineterminator="\n")
+        line = _line(cells.values())
         if self._columns is None:
-            lines.writerow(cells)
-        lines.writerow(cells.values())
-        if self._columns is None:
-            write_whole(self.path, text.getvalue().encode())
+            write_whole(self.path, (_line(cells) + line).encode())
         else:
-            _append(self.path, text.getvalue().encode())
+            _append(self.path, line.encode())
         self._columns = list(cells)
 
 
@@ -121,6 +117,13 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
         empty = False
     if empty:
         raise ValueError("rows must hold at least one row, got none")
+
+
+def _line(cells: Iterable[Any]) -> str:
+    """A row as a line; csv puts text with a return in quotes only where it ends rows with one."""
+    text = io.StringIO()
+    csv.writer(text).writerow(cells)
+    return text.getvalue().removesuffix("\r\n") + "\n"
 
 
 def _append(path: Path, data: bytes) -> None:

@@ -281,6 +281,13 @@ class Row(NamedTuple):
     missing: float | None = None
 
 
+@pytest.mark.parametrize("text", ["x\ry", "x\r", "x\r\n", "\n", 'a "b", c', ""])
+def test_text_is_read_back_in_one_row(tmp_path, text):
+    ec.save_table(tmp_path / "run.csv", [{"a": text, text or "b": 1}, {"a": "z", text or "b": 2}])
+    with (tmp_path / "run.csv").open(newline="", encoding="utf8") as file:
+        assert list(csv.reader(file)) == [["a", text or "b"], [text, "1"], ["z", "2"]]
+
+
 def test_rows_are_read_back_with_all_digits(tmp_path):
     rows = [
         Row(n / 3, n, np.array([0.1, 1e-300, n / 7]), {"u": np.float64(n) / 9, "w": np.ones(2)})
