@@ -71,7 +71,8 @@ def smoothed(at: Surface, values: ArrayLike) -> Array:
 
     .. math:: I - (I - S)^3, \qquad S = (M + c h^2 A)^{-1} M,
 
-    takes most of it away and itself has an error of order 6.
+    takes most of it away and itself has an error of order 6, on a closed surface; at a boundary,
+    where it takes the derivative across for zero, one of order 1.
 
     Parameters
     ----------
@@ -108,6 +109,7 @@ def smoothed_divergence(at: Surface, normal: ArrayLike) -> Array:
     Parameters
     ----------
     at : Surface
+        At a boundary, if it has one, the error is of order 1 as that of :func:`smoothed`.
     normal : (N, 3) float array
 
     Returns
@@ -141,10 +143,16 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     Parameters
     ----------
     at : Surface
+        Closed.
 
     Returns
     -------
     (N, 3) float array, (N,) float array
+
+    Raises
+    ------
+    ValueError
+        If the surface has a boundary: there the curvature would not converge.
 
     Examples
     --------
@@ -158,6 +166,11 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     >>> print(f"{textbook[five].mean():.3f} {normal_and_curvature(at)[1][five].mean():.3f}")
     2.682 2.002
     """
+    if len(at.space.boundary_nodes):
+        raise ValueError(
+            "at must be a closed surface, but has a boundary: near it the curvature of smoothed "
+            "normals does not converge"
+        )
     n = len(at.x)
     if at.space.degree == 1:
         tri = trimesh.Trimesh(at.x, at.space.cells, process=False)

@@ -65,6 +65,16 @@ def test_a_flow_of_flat_triangles_starts_with_them():
     assert np.array_equal(given["normal"], EGG.normal(at.x))
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_surfaces_with_a_boundary_are_refused(degree):
+    tri = ec.sphere("octahedron", 2)
+    tri.update_faces(tri.triangles_center[:, 2] > 0)
+    tri.remove_unreferenced_vertices()
+    space = ec.SurfaceSpace(tri, degree, ec.to_unit_sphere, boundary=True)
+    with pytest.raises(ValueError, match="at must be a closed surface, but has a boundary"):
+        normal_and_curvature(ec.Surface(space, space.nodes))
+
+
 def test_normals_must_be_nodal():
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
     with pytest.raises(ValueError, match=r"normal must have shape \(42, 3\), got \(42,\)"):
