@@ -112,10 +112,11 @@ def _at_time(
     weights = _lagrange(np.array([s.t for s in near]), t)
     x = combine(weights, [s.x for s in near])
     fields, products, M = {}, {}, None
-    any_products = any(s.products for s in near)
+    # Of what no step has computed all is taken for conserved, as by `remeshed`.
+    known = any(s.products or s.method is not None for s in near)
     for name in near[0].fields:
         fields[name] = combine(weights, [s[name] for s in near])
-        if any_products and not any(name in s.products for s in near):
+        if known and not any(name in s.products for s in near):
             continue  # not conserved
         own = [space.mass_times(s.x, s[name]) for s in near]
         amounts = [s.products.get(name, b) for s, b in zip(near, own, strict=True)]

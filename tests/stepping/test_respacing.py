@@ -51,6 +51,14 @@ def test_of_what_is_not_conserved_the_values_are_interpolated():
     np.testing.assert_allclose(start[0]["rest"], 2 + SPACE.nodes[:, 2], rtol=1e-12)
 
 
+def test_where_nothing_is_conserved_nothing_becomes_so():
+    """As in mean curvature flow alone; of products `remeshed` would keep the sums."""
+    states = list(ec.evolve(SPACE, ec.Problem(law=ec.laws.MeanCurvature()), 1, 0.01, 0.03))
+    start = ec.respaced(states[-2:], 0.005, order=2)
+    assert [list(state.products) for state in start] == [[], []]
+    np.testing.assert_array_equal(start[0]["H"], (states[-2]["H"] + states[-1]["H"]) / 2)
+
+
 @pytest.fixture(scope="module")
 def fine():
     return list(ec.evolve(SPACE, coupled(), 5, 1 / 400, 1.475, start="euler"))[-1]
