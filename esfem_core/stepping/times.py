@@ -26,7 +26,8 @@ def later(t: float, step: float) -> float:
     >>> 0.1 + 0.1 + 0.1, later(later(0.1, 0.1), 0.1)
     (0.30000000000000004, 0.3)
     """
-    return float(_meant(t) + _meant(step))
+    tau = _meant(step)
+    return float(_meant(t, tau.denominator) + tau)
 
 
 def following(t: float, step: float) -> Iterator[float]:
@@ -38,17 +39,29 @@ def following(t: float, step: float) -> Iterator[float]:
     >>> list(islice(following(0.1, 0.1), 3))
     [0.2, 0.3, 0.4]
     """
-    exact, tau = _meant(t), _meant(step)
+    tau = _meant(step)
+    exact = _meant(t, tau.denominator)
     while True:
         exact += tau
         t = float(exact)
         yield t
         if exact.denominator > LARGEST or abs(t) > NEAR:  # else that is what t means
-            exact = _meant(t)
+            exact = _meant(t, tau.denominator)
 
 
-def _meant(value: float) -> Fraction:
-    simple = Fraction(value).limit_denominator(LARGEST)
+def _meant(value: float, unit: int | None = None) -> Fraction:
+    """The fraction that a number stands for: a multiple of 1/unit if it can be, or a simple one.
+
+    Far from zero, where rounding is coarse, many simple ones round to a number, and the nearest is
+    the number itself: sums with it would be rounded the same way again and again, and drift.
+    """
+    if unit is not None and unit <= LARGEST:
+        multiple = Fraction(round(Fraction(value) * unit), unit)
+        if float(multiple) == value:
+            return multiple
+    # Fractions with denominators up to n are 1/n^2 apart; at most one must round to the number.
+    most = math.isqrt(int(1 / math.ulp(max(1.0, abs(value)))))
+    simple = Fraction(value).limit_denominator(max(1, min(LARGEST, most)))
     return simple if float(simple) == value else Fraction(value)
 
 

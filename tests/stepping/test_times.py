@@ -33,6 +33,23 @@ def test_three_tenths():
     assert chain(-0.3, 0.1, 3)[-1] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("start", "step"),
+    [
+        ("1700000000", "1/1000"),  # seconds since 1970: neighbouring floats are 2.4e-7 apart
+        ("-1700000000", "1/3000"),
+        ("3400000001/2", "1/10"),
+        ("1000000", "1/1000000"),
+        ("100000", "1/24"),
+    ],
+)
+def test_late_times_do_not_drift_away_from_those_multiples(start, step):
+    start, step = Fraction(start), Fraction(step)
+    times = list(islice(following(float(start), float(step)), 3000))
+    assert times == [float(start + n * step) for n in range(1, 3001)]
+    assert chain(times[1999], float(step), 3)[1:] == times[2000:2003]
+
+
 @pytest.mark.parametrize("step", [0.1 / 3, np.pi / 100, 1e-9, 2.0**-40, 12345.678])
 @pytest.mark.parametrize("start", [0.0, 0.0171, -np.e, 1e6])
 def test_each_is_the_last_one_and_a_step_rounded_once(start, step):
