@@ -17,6 +17,7 @@ What is left is the drift between the two surfaces, of order p in time.
 """
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ from esfem_core.laws.law import Law, Solve, check_no_slip
 from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.species import Species
+from esfem_core.laws.values import Once
 
 __all__ = ["VolumePreserving"]
 
@@ -86,6 +88,10 @@ class VolumePreserving(Law):
         """As the law's."""
         return self.law.initial(at)
 
+    def equations(self, tau: float, past: Array) -> Mapping[str, Species]:
+        """Those of the law, with the pressure."""
+        return self._pressed.equations(tau, past)
+
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve
     ) -> Array:
@@ -103,18 +109,18 @@ class VolumePreserving(Law):
 
     @property
     def _pressed(self) -> Regularised | MeanCurvature:
+        """The law that the functions obey: mean curvature flow with g - mean(g - beta H) for g."""
         law = self.law
         if isinstance(law, Regularised):
             return law
-        return _Pressed(law.beta, law.g, law.normal, law.curvature)
 
+        def forcing(at: Surface) -> Array:
+            g = law.forcing(at)
+            if g is None:
+                g = np.zeros(len(at.x))
+            pressed: Array = g - at.mean(at.space.evaluate(g) - law.beta * at["H"])
+            return pressed
 
-class _Pressed(MeanCurvature):
-    """Mean curvature flow with g - mean(g - beta H) in place of g."""
-
-    def _forcing(self, at: Surface) -> Array:
-        g = super()._forcing(at)
-        if g is None:
-            g = np.zeros(len(at.x))
-        pressed: Array = g - at.mean(at.space.evaluate(g) - self.beta * at["H"])
+        pressed = copy(law)  # of a class of one's own, with all that it overrides
+        object.__setattr__(pressed, "forcing", Once(forcing))
         return pressed

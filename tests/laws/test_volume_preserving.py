@@ -108,6 +108,35 @@ def test_orders_in_time(law):
             assert order == pytest.approx(p, abs=0.35), (p, name)
 
 
+def test_what_a_law_of_ones_own_overrides_stays_overridden():
+    class Still(ec.laws.MeanCurvature):
+        """Its normal and curvature do not change."""
+
+        @property
+        def species(self):
+            return {
+                name: ec.Species(None, diffusivity=0.0, conserved=False) for name in super().species
+            }
+
+    class Filling(ec.laws.Regularised):
+        """With a function whose equation has a source in each step."""
+
+        @property
+        def species(self):
+            return {"q": ec.Species(1.0, diffusivity=0.0, conserved=False)}
+
+        def equations(self, tau, past):
+            return {"q": ec.Species(1.0, lambda at: 10.0, diffusivity=0.0, conserved=False)}
+
+    def states(law):
+        problem = ec.Problem(law=ec.laws.VolumePreserving(law))
+        return list(ec.evolve(SPACE, problem, 1, 0.01, 0.02, solver="direct"))
+
+    first, *_, last = states(Still())
+    np.testing.assert_allclose(last["H"], first["H"], rtol=1e-12)
+    np.testing.assert_allclose(states(Filling())[-1]["q"], 1.2, rtol=1e-12)
+
+
 def test_one_factorisation_serves_both_parts():
     statistics = ec.Statistics()
     problem = ec.Problem(law=ec.laws.VolumePreserving(LAWS["regularised"]))
