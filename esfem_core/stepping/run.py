@@ -151,7 +151,9 @@ def evolve(
         are added to the right-hand sides of (2.19), (2.20) and (2.21) in step n: the defects of
         [N] (4.1), see :mod:`esfem_core.theory.defects`; or a mapping from names, "v", "x" and those
         of species, to such vectors; a number is a constant one. Euler starting steps from n - 1 to
-        n have those of n, too. With a prescribed motion, r_v and r_x do not count.
+        n have those of n, too. With a prescribed motion, r_v and r_x do not count. Laws that solve
+        no system for v, such as mean curvature flow, take no r_v but zero: their own functions,
+        such as "normal" and "H", have perturbations instead.
     growth : float
         How much larger than at the start the values of a function may become before the run stops
         with an error, or infinity; at a factor of 1e6 it warns. What is zero at the start has no

@@ -169,9 +169,11 @@ class Scheme:
         functions, products = self._diffuse(own, levels, at.M, at.x)
         for array in functions.values():
             array.setflags(write=False)  # the law sees them
-        solve = self._law_solver(extra.get("v"))
-        v = law.velocity(at, dict(functions), tau, past, solve)
+        r_v = [extra["v"]] if "v" in extra else []
+        v = law.velocity(at, dict(functions), tau, past, self._law_solver(r_v))
         v = finite_nodal("the velocity of the law", v, at.x.shape)
+        if given is None and any(rest.any() for rest in r_v):
+            raise ValueError(_no_system_for_v(self.problem))
         x = (step * v - x_past) / d[0] if given is None else given
 
         M = self.space.mass(x) if self.mass == "updated" and given is None else at.M
@@ -232,14 +234,15 @@ class Scheme:
     def _given(self, name: str, x: Array, t: float, like: Array) -> Array:
         return self._conditions[name].values(name, x, t, like.shape)
 
-    def _law_solver(self, extra: Array | None) -> Callable[[csr_array, Array], Array]:
-        """What a law gets to solve with; its first right-hand side is perturbed by r_v."""
+    def _law_solver(self, r_v: list[Array]) -> Callable[[csr_array, Array], Array]:
+        """What a law gets to solve with; its first right-hand side takes up r_v, if there is one."""
         count = 0
 
         def solve(K: csr_array, b: Array) -> Array:
             nonlocal count
             count += 1
-            if count == 1 and extra is not None:
+            if r_v:
+                extra = r_v.pop()
                 b = b.copy()
                 b[:, : extra.shape[1]] += extra  # beside it may stand other right-hand sides
             return self.systems.solve_again(f"law {count}", K, b)
@@ -325,6 +328,18 @@ def _called(name: str, part: Part) -> str:
     if isinstance(part.components, slice):
         return name
     return f"{name}[{', '.join(map(str, np.flatnonzero(part.components)))}]"
+
+
+def _no_system_for_v(problem: Problem) -> str:
+    """What to say of an r_v that no system of the law has taken up."""
+    law: object = problem.law
+    while hasattr(law, "law"):  # with a slip, or at constant volume
+        law = law.law
+    names = " or ".join(map(repr, problem.law_species or ["x"]))
+    return (
+        "perturbation must be of what is solved for: one of 'v' is added to the system that a law "
+        f"solves for the velocity, but {type(law).__name__} solves none; perturb {names}"
+    )
 
 
 def _not_turned(at: Surface, previous: Array | None) -> Array:

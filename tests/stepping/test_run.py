@@ -74,6 +74,27 @@ def test_perturbations_are_right_hand_sides_of_the_printed_equations():
     np.testing.assert_allclose(state.u, 1 + 0.2 * rate, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("law", "advice"),
+    [
+        (ec.laws.MeanCurvature(), "MeanCurvature solves none; perturb 'normal' or 'H'"),
+        (ec.laws.VolumePreserving(ec.laws.MeanCurvature()), "MeanCurvature solves none"),
+        (ec.laws.Dynamic(), "Dynamic solves none; perturb 'velocity'"),
+        (
+            ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: x), lambda at: 0 * at.x),
+            "Prescribed solves none; perturb 'x'",
+        ),
+    ],
+)
+def test_a_perturbation_of_a_velocity_that_no_system_is_solved_for_is_refused(law, advice):
+    """Unless it is zero, as in (r_u, 0, r_x)."""
+    problem = ec.Problem(species={"u": ec.Species(1.0)}, law=law)
+    first, second = ec.evolve(SPACE, problem, 1, 0.01, 0.01, perturbation=lambda n: (10, 0, 0))
+    assert (second.u > first.u).all()
+    with pytest.raises(ValueError, match=f"solves for the velocity, but {advice}"):
+        list(ec.evolve(SPACE, problem, 1, 0.01, 0.01, perturbation=lambda n: {"v": 0.1}))
+
+
 @pytest.mark.parametrize("number", [np.float32(0.25), np.array(0.25), Fraction(1, 4)])
 def test_a_constant_perturbation_is_a_number_of_any_library(number):
     def last(constant):
