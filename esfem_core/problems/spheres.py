@@ -284,7 +284,7 @@ def growing_sphere(
 
         u = \frac{u_0}{r^2}, \qquad r' = \frac{\delta u_0 - 2\beta r}{r^2 + 2\alpha},
 
-    which is integrated with SciPy to a tolerance of 1e-13.
+    which is integrated with SciPy to a relative tolerance of 1e-13.
 
     Parameters
     ----------
@@ -336,8 +336,9 @@ def growing_sphere(
                 raise ValueError(f"t must have an exact radius, but {reason} at t = {t}")
             return speed(r[0]) * np.ones(1)
 
+        # Relative to the radius however small that is; atol=0 would go on to where r underflows.
         with np.errstate(all="ignore"):  # found by the test of r
-            solution = solve_ivp(rate, (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-14)
+            solution = solve_ivp(rate, (0, t), [1.0], "DOP853", rtol=1e-13, atol=1e-63)
         if not (solution.success and solution.y[0, -1] > 0):
             raise ValueError(
                 f"t must have an exact radius, but none is found at t = {t}: {solution.message}"

@@ -113,6 +113,15 @@ def test_growing_sphere(parameters):
         assert speed * (1 + 2 * alpha / r**2) + 2 * beta / r == pytest.approx(delta * u0 / r**2)
 
 
+@pytest.mark.parametrize("t", [0.25, 0.5, 0.6, 1.0])
+def test_a_tiny_radius_is_as_exact_as_a_large_one(t):
+    """Without a source both spheres are one; the radius falls from 0.24 to 3e-33."""
+    p = np.array([[1.0, 0.0, 0.0]])
+    integrated = ec.problems.growing_sphere(0.01, 1.0, delta=0).exact.x(p, t)[0, 0]
+    closed = ec.problems.shrinking_sphere(0.01, 1.0).exact.x(p, t)[0, 0]
+    assert integrated == pytest.approx(closed, rel=5e-12, abs=0)
+
+
 ONE = ec.Species(1.0)
 LAW = ec.laws.Regularised(alpha=0.5)
 
