@@ -61,8 +61,9 @@ class Dynamic(ReadOnly, Law):
         Initial velocity: of points (N, 3), returning (N, 3); or the nodal values; or one vector
         (3,); or a number for all components.
     alpha, beta : float
-        Viscosity alpha >= 0, positive in [N], and surface tension beta >= 0. Without viscosity the
-        law is a wave equation, outside the theory.
+        Viscosity alpha >= 0, positive in [N], a squared length per time, and surface tension
+        beta >= 0, a squared length per squared time. Without viscosity the law is a wave equation,
+        outside the theory.
     g : callable, optional
         ``g(at)`` on a :class:`esfem_core.Surface`: (T, Q), the force along the normal, or
         (T, Q, 3), a force with a direction of its own. None is zero.

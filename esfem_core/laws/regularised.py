@@ -24,9 +24,10 @@ class Regularised(Law):
     Parameters
     ----------
     alpha, beta : float
-        Regularisation alpha >= 0 and weight beta >= 0 of mean curvature. alpha = 0 with beta > 0 is
-        Dziuk's scheme for mean curvature flow, outside the theorem of [N]: with elements of degree
-        2 or more it loses two orders except on spheres, and p = 4 and 5 are unstable.
+        Regularisation alpha >= 0, a squared length, and weight beta >= 0 of mean curvature, a
+        squared length per time, in the units of the nodes. alpha = 0 with beta > 0 is Dziuk's
+        scheme for mean curvature flow, outside the theorem of [N]: with elements of degree 2 or
+        more it loses two orders except on spheres, and p = 4 and 5 are unstable.
     g : callable, optional
         ``g(at)`` on a :class:`esfem_core.Surface`: (T, Q), the speed along the normal, or
         (T, Q, 3), a force with a direction of its own. None is zero.

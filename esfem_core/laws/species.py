@@ -116,8 +116,9 @@ class Species(ReadOnly):
     rate : float or callable, optional
         Not negative, taken implicitly: a number, or ``rate(at)`` of shape (T, Q). None is zero.
     diffusivity : float, (m,) array or callable
-        D >= 0: a number, one for each component, or ``diffusivity(at)`` of shape (T, Q), or
-        (T, Q, 3, 3), symmetric and positive semidefinite on the tangent planes.
+        D >= 0, a squared length per time in the units of the nodes: a number, one for each
+        component, or ``diffusivity(at)`` of shape (T, Q), or (T, Q, 3, 3), symmetric and positive
+        semidefinite on the tangent planes.
     conserved : bool
         If False, the equation has no u div v: for quantities like a temperature of its own, or a
         normal vector, that are carried, but not diluted.

@@ -170,10 +170,11 @@ class Problem:
         ``at.u`` has shape (T, Q) or (T, Q, m); f returns the shape of u, g (T, Q) or (T, Q, 3).
         See :class:`esfem_core.Species` and :class:`esfem_core.laws.Regularised`. None is zero.
     alpha, beta : float
-        Regularisation alpha >= 0 and weight beta >= 0 of mean curvature; 1 if not given, so that a
-        problem without g, motion and law shrinks its surface.
+        Regularisation alpha >= 0, a squared length in the units of the nodes, and weight beta >= 0
+        of mean curvature, a squared length per time; 1 if not given, so that a problem without g,
+        motion and law shrinks its surface.
     diffusivity : float, (m,) array or callable
-        D >= 0; 1 if not given.
+        D >= 0, a squared length per time in the units of the nodes; 1 if not given.
     motion : callable, optional
         X(p, t), positions at time t of the points p of the initial surface, X(p, 0) = p;
         ``lambda p, t: p`` for a surface at rest.

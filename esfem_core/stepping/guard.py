@@ -20,7 +20,7 @@ GROWTH = 1e6  # of the largest value since the start: from here on worth a warni
 
 
 class EvolutionWarning(UserWarning):
-    """A run will hardly survive, has folds, cannot be saved, or its slip is not tangential."""
+    """A run will hardly survive, folds, loses digits, is not saved, or has no tangential slip."""
 
 
 class Guard:

@@ -53,6 +53,7 @@ from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import Mass, State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
 from esfem_core.stepping.times import TOLERANCE, count_steps, following
+from esfem_core.stepping.units import check_units
 
 __all__ = ["MASSES", "evolve"]
 
@@ -204,8 +205,10 @@ def evolve(
         step by step, so that results mean little there from now on: neighbouring triangles come to
         enclose less than 60 degrees, or a normal inside a curved element to make more than a right
         angle with that of its flat triangle. At the call, for alpha = 0 with mean curvature and
-        degree 2 or more, or with p = 4 or more, which is unstable; and for a slip of which more
-        than a fifth is normal.
+        degree 2 or more, or with p = 4 or more, which is unstable; for a slip of which more than
+        a fifth is normal; and for alpha of :class:`esfem_core.laws.Regularised`, or a constant
+        diffusivity times the step, of more than 1e8 area/(4 pi), where rounding takes amounts and
+        the motion of the surface as a whole: see to the units.
     UserWarning
         At the call, for p = 6.
 
@@ -253,6 +256,7 @@ def evolve(
         check_exact_functions(space, problem, first)
     check_precision(problem.law, first)
     check_slip(space, problem.law, first, order, step)
+    check_units(space, problem, first, step)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     if file is None:

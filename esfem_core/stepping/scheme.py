@@ -235,7 +235,7 @@ class Scheme:
         return self._conditions[name].values(name, x, t, like.shape)
 
     def _law_solver(self, r_v: list[Array]) -> Callable[[csr_array, Array], Array]:
-        """What a law gets to solve with; its first right-hand side takes up r_v, if there is one."""
+        """What a law gets to solve with; its first right-hand side takes up r_v."""
         count = 0
 
         def solve(K: csr_array, b: Array) -> Array:
