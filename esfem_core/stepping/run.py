@@ -53,7 +53,7 @@ from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import Mass, State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
 from esfem_core.stepping.times import TOLERANCE, count_steps, following
-from esfem_core.stepping.units import check_units
+from esfem_core.stepping.units import check_units, factor_to_size_one
 
 __all__ = ["MASSES", "evolve"]
 
@@ -245,7 +245,10 @@ def evolve(
     if isinstance(given, list):
         check_motion_of_start(space, problem, given[-1])
     systems = Systems(
-        make_solver, space.pattern, Statistics() if statistics is None else statistics
+        make_solver,
+        space.pattern,
+        Statistics() if statistics is None else statistics,
+        factor_to_size_one(space),
     )
     scheme = Scheme(space, problem, mass, systems, perturbation)
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)

@@ -82,12 +82,20 @@ class Systems:
         Of the matrices of the space.
     statistics : Statistics
         Where the solvers are kept.
+    factor : float
+        A power of two that matrices and right-hand sides are multiplied by, which changes no bit of
+        the solutions: solvers tell a right-hand side of rounding by its size.
     """
 
     def __init__(
-        self, make_solver: Callable[[], Solver], pattern: csr_array, statistics: Statistics
+        self,
+        make_solver: Callable[[], Solver],
+        pattern: csr_array,
+        statistics: Statistics,
+        factor: float = 1.0,
     ) -> None:
         self._make, self._pattern, self._statistics = make_solver, pattern, statistics
+        self._factor = factor
         self._names: dict[Hashable, str] = {}
         self._solutions: dict[str, deque[Array]] = {}
 
@@ -99,6 +107,9 @@ class Systems:
             solvers[kind], solves[kind] = _checked_solver(self._make()), 0
         solves[kind] += 1
         K = self._conforming(K)
+        if self._factor != 1:
+            data = self._factor * K.data
+            K, b = csr_array((data, K.indices, K.indptr), shape=K.shape), self._factor * b
         try:
             w = solvers[kind].solve(K, b, guess)
             if not isinstance(solvers[kind], DirectSolver | LaggedSolver):  # these test their own

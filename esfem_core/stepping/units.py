@@ -1,5 +1,9 @@
-"""Whether alpha and diffusivities are numbers for the size of the surface."""
+"""Whether alpha and diffusivities are numbers for the size of the surface.
 
+And what makes right-hand sides, which are integrals, as large as on a surface of size 1.
+"""
+
+import math
 import warnings
 from collections.abc import Iterator
 
@@ -12,13 +16,29 @@ from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning, level_outside
 from esfem_core.stepping.state import State
 
-__all__ = ["check_units"]
+__all__ = ["check_units", "factor_to_size_one"]
 
 # A takes constants to zero but for rounding, so in M + s A amounts, and the translation of all
 # nodes, stand against 1e-16 s. For s = LARGEST r^2, with the squared radius r^2 of a sphere as
 # large, a step loses 2e-7 of them with 162 nodes of degree 1 and 2e-5 with 5762 of degree 3, and
 # proportionally more for larger s, with every solver.
 LARGEST = 1e8
+
+
+def factor_to_size_one(space: SurfaceSpace) -> float:
+    """A power of 1024 that brings the squared radius of the surface near 1, as check_units has it.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> sphere = ec.sphere("icosahedron", 2)
+    >>> factor_to_size_one(ec.SurfaceSpace(sphere))
+    1.0
+    >>> factor_to_size_one(ec.SurfaceSpace(sphere.apply_scale(1e-3))) == 1024**2
+    True
+    """
+    square = min(max(_squared_radius(space, space.nodes), 1e-290), 1e290)
+    return 1024.0 ** -round(math.log(square, 1024))
 
 
 def check_units(space: SurfaceSpace, problem: Problem, first: State, step: float) -> None:
@@ -32,7 +52,7 @@ def check_units(space: SurfaceSpace, problem: Problem, first: State, step: float
     EvolutionWarning
         For alpha, or D times the step, beyond 1e8 area/(4 pi).
     """
-    square = _area(space, first.x) / (4 * np.pi)
+    square = _squared_radius(space, first.x)
     for called, s, lost in _large(problem, step):
         if s > LARGEST * square > 0:
             warnings.warn(
@@ -63,7 +83,7 @@ def _large(problem: Problem, step: float) -> Iterator[tuple[str, float, str]]:
         yield called, D * step / (1 + step * (species.rate or 0.0)), lost
 
 
-def _area(space: SurfaceSpace, x: Array) -> float:
-    """Of the flat triangles."""
+def _squared_radius(space: SurfaceSpace, x: Array) -> float:
+    """Of a sphere with the area of the flat triangles."""
     a, b, c = x[space.cells[:, :3]].swapaxes(0, 1)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / (8 * np.pi))

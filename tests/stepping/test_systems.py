@@ -214,7 +214,8 @@ def test_right_hand_sides_are_stacked_and_taken_apart():
 @pytest.mark.filterwarnings("error:overflow encountered in dot")
 @pytest.mark.filterwarnings("ignore:overflow encountered in multiply")
 def test_a_system_that_is_not_solved_is_named(solver, problem, system):
-    run = ec.evolve(SPACE, ec.Problem(**problem), order=1, step=0.1, end=0.1, solver=solver)
+    with pytest.warns(ec.EvolutionWarning, match=r"is .* times area/\(4 pi\)"):
+        run = ec.evolve(SPACE, ec.Problem(**problem), order=1, step=0.1, end=0.1, solver=solver)
     message = rf"the linear system of {system}: (A must be|no |the numbers of A)"
     with pytest.raises(ec.EvolutionError, match=message):
         list(run)

@@ -67,3 +67,31 @@ def test_nothing_is_said_where_nothing_is_lost_or_known():
     decaying = ec.Species(1.0, rate=1e6)
     somewhere = ec.Species(1.0, fixed=([0], 1.0))
     assert warned(SMALL, function=function, decaying=decaying, somewhere=somewhere) == []
+
+
+@pytest.mark.filterwarnings("ignore:the diffusivity of 'u'")
+@pytest.mark.parametrize("solver", ["lagged", "direct"])
+@pytest.mark.parametrize("size", [1.0, 2.0**-20, 2.0**20])
+def test_a_system_without_a_right_digit_is_refused_on_surfaces_of_every_size(size, solver):
+    space = ec.SurfaceSpace(TRI.copy().apply_scale(size))
+    u = ec.Species(lambda x: 1 + x[:, 2] / size, diffusivity=1e16 * size**2)
+    with pytest.raises(ec.EvolutionError, match=r"system of u: no solution: x leaves .* of b"):
+        list(ec.evolve(space, ec.Problem(species={"u": u}, law=REST), 1, 1.0, 1.0, solver=solver))
+
+
+@pytest.mark.parametrize("solver", ["lagged", "direct"])
+def test_a_smaller_surface_runs_with_the_same_bits(solver):
+    """Whatever systems are multiplied by: a law that is homogeneous, scaled by a power of two."""
+
+    def run(size):
+        space = ec.SurfaceSpace(TRI.copy().apply_scale([1.2 * size, size, size]))
+        law = Regularised(size**2, size**2, lambda at: size * at.u)
+        u = ec.Species(lambda x: 1 + x[:, 0] / size, diffusivity=size**2)
+        *_, last = ec.evolve(
+            space, ec.Problem(species={"u": u}, law=law), 1, 0.1, 0.3, solver=solver
+        )
+        return last
+
+    small, large = run(2.0**-20), run(1.0)
+    np.testing.assert_array_equal(small.u, large.u)
+    np.testing.assert_array_equal(2.0**20 * small.x, large.x)
