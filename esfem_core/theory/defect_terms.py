@@ -67,6 +67,7 @@ def temporal_terms_v(
     True
     """
     order, step = _checked(space, problem, order, step)
+    t = number("t", t)
     law = velocity_law(problem)
     now = exact_values(space, problem, t)
     far = _extrapolated(space, problem, order, step, t)
@@ -214,6 +215,7 @@ def spatial_terms_u(
     object_of("field", field, Field)
     for name, of in (("surface", "a time"), ("v", "points and a time"), ("f", "points and a time")):
         function(f"field.{name}", getattr(field, name), f"of {of}")
+    t = number("t", t)
     x, v, u = exact_values(space, problem, t)
     finite_array("the exact u", u, (len(x),))
     at, onto = Surface(space, x), lift(space, x, field.surface(t))

@@ -35,6 +35,7 @@ __all__ = [
     "tangent_projection",
 ]
 
+FAR = 1e8  # distance times curvature: 1 + d W loses the 1 in rounding
 STILL = 1e-6  # how far a motion may take points at t = 0, over the largest coordinate
 Function = Callable[[Array], Array]
 
@@ -167,7 +168,7 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
     Raises
     ------
     ValueError
-        If a point has no unique closest point.
+        If a point has no unique closest point, or is 1e8 radii of curvature away.
 
     Examples
     --------
@@ -177,6 +178,12 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
     """
     check_surface(surface)
     near = surface.near(finite_array("points", points, ("...", 3)))
+    away = np.abs(near.distance) * np.linalg.norm(near.weingarten, axis=(-2, -1))
+    if not (away < FAR).all():
+        raise ValueError(
+            f"points must be within {FAR:g} radii of curvature of the surface, but one is "
+            f"{away.max():.2g} away"
+        )
     return _shrinking(near) @ tangent_projection(near.normal)
 
 

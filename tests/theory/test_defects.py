@@ -426,6 +426,17 @@ def test_a_velocity_may_return_the_same_array_each_time():
         np.testing.assert_array_equal(found[name], term)
 
 
+def test_times_of_more_digits_give_the_same_terms():
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    space, field, time = space_of(0), field_of(problem), np.longdouble(0.6)
+    spatial = spatial_terms_u(space, problem, field, time)
+    for name, term in spatial_terms_u(space, problem, field, float(time)).items():
+        np.testing.assert_array_equal(spatial[name], term)
+    temporal = temporal_terms_v(space, EXPANDING, 2, 0.1, time)
+    for name, term in temporal_terms_v(space, EXPANDING, 2, 0.1, float(time)).items():
+        np.testing.assert_array_equal(temporal[name], term)
+
+
 def test_functions_may_write_into_the_points_that_they_are_given():
     def spoilt(function):
         def writing(x, t):

@@ -74,6 +74,14 @@ def test_the_differential_of_the_closest_point_is_a_difference_quotient(surface)
         np.testing.assert_allclose(exact[..., i], quotient, atol=1e-8)
 
 
+def test_points_so_far_away_that_their_differential_is_rounding_are_refused():
+    here = geometry.closest_point_derivative(Sphere(), np.array([3e7, 0.0, 4e7]))
+    assert here @ [0.0, 1.0, 0.0] == pytest.approx([0, 2e-8, 0], rel=1e-6)
+    for x in ([3e15, 0.0, 4e15], [-3.496931719863867e16, -4.6e-263, -2.3566134133819144e16]):
+        with pytest.raises(ValueError, match=r"points must be within 1e\+08 radii of curv.* but"):
+            geometry.closest_point_derivative(Sphere(), np.array(x))
+
+
 def test_the_operators_turn_gradients_and_products_of_lifts_back():
     space = ec.SurfaceSpace(ec.torus(1.0, 0.4, 20, 8), 1)
     x, w, z = space.nodes, *np.random.default_rng(1).normal(size=(2, len(space.nodes)))
