@@ -75,7 +75,7 @@ endif
 full: $(STAMP) ## the papers' own resolution, a good hour; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
 
-fuzz: $(STAMP) ## generated arguments for all public functions; writes the table of the book
+fuzz: $(STAMP) ## generated arguments for all functions that scripts call; writes the table of the book
 	$(BIN)/python tests/fuzz.py
 
 mutants: $(STAMP) ## faults put into the solver, of which its tests must notice nine in ten: half an hour

@@ -1,4 +1,4 @@
-"""The table of doors: every public function, each argument with a good value."""
+"""The table of doors: every function that scripts call, each argument with a good value."""
 
 import tempfile
 from functools import cache
@@ -151,6 +151,38 @@ def doors() -> list[Door]:
     def misbehaving(*bad):
         """Functions n -> defects that are none."""
         return [lambda n, b=b: b for b in bad]
+
+    def small(n):
+        zero = np.zeros_like(rough.nodes)
+        return theory.defects.Defects(zero[:, 0], 1e-6 * rough.nodes, zero)
+
+    compared = list(theory.stability.response(rough, problem, 1, 0.25, 0.5, small))
+    unit = ec.exact_surfaces.Sphere()
+    onto = theory.forms.lift(space, x, unit)
+
+    def error_terms(**given):
+        options = {"space": rough, "pairs": compared, "order": 1, "step": 0.25, "chosen": small,
+                   **given}  # fmt: skip
+        return theory.stability.error_terms(**options)
+
+    def growing(t):
+        return ec.exact_surfaces.Sphere(1 + t)
+
+    def geometric_errors(**given):
+        options = {"space": rough, "surface": growing, "motion": lambda x, t: (1 + t) * x,
+                   "velocity": lambda x: x, "u": lambda x: x[..., 2],
+                   "gradient": lambda x: 0 * x + [0, 0, 1.0], **given}  # fmt: skip
+        return theory.geometry.geometric_errors(**options)
+
+    linear = ec.Problem(
+        u0=lambda x: x[:, 2],
+        exact=ec.Exact(lambda p, t: p * (1 + t), lambda p, t: p, lambda x, t: x[..., 2]),
+    )
+    near = {"surface": growing, "v": lambda x, t: x / (1 + t), "f": lambda x, t: x[..., 0]}
+
+    def spatial_terms_u(**given):
+        field = theory.defect_terms.Field(**{**near, **given})
+        return list(theory.defect_terms.spatial_terms_u(rough, linear, field, 0.5).values())
 
     sphere_text = "x1**2 + x2**2 + x3**2 - 1"
 
@@ -566,7 +598,8 @@ def doors() -> list[Door]:
         Door("forms.check_definite", lambda matrix: ec.forms.check_definite("K", matrix),
              {"matrix": one(K, called=("K",))}),
         Door("forms.lift", ec.forms.lift,
-             {"space": one(space), "x": array(x), "surface": one(ec.exact_surfaces.Sphere())}),
+             {"space": one(space), "x": array(x), "surface": one(unit)}),
+        Door("forms.check_surface", ec.forms.check_surface, {"surface": one(unit)}),
         Door("forms.relative_norm", ec.forms.relative_norm,
              {"form": one(M), "norm": one(K), "seminorm": flag(False)}),
         Door("dual_norm", ec.defects.dual_norm, {"K": one(K), "functional": array(u, after=True)}),
@@ -592,6 +625,49 @@ def doors() -> list[Door]:
               "t": number(0.5)}),
         Door("spatial_defects", ec.defects.spatial_defects,
              {"space": one(space), "problem": one(problem), "t": number(0.5)}),
+        Door("constant_diffusivity", ec.defects.constant_diffusivity, {"problem": one(problem)}),
+        Door("regularised_law", ec.defects.regularised_law, {"problem": one(problem)}),
+        Door("velocity_law", ec.defects.velocity_law, {"problem": one(problem)}),
+        Door("temporal_terms_v", theory.defect_terms.temporal_terms_v,
+             {"space": one(space), "problem": one(problem), "order": whole(2, 0, *HUGE),
+              "step": number(0.1, 0, -1, called=("t",)), "t": number(0.5)}),
+        Door("temporal_terms_u", theory.defect_terms.temporal_terms_u,
+             {"space": one(space), "problem": one(problem),
+              "order": whole(2, 0, *HUGE, called=("n",)),
+              "step": number(0.1, 0, -1), "n": whole(4, 0, -1)}),
+        Door("spatial_terms_u", theory.defect_terms.spatial_terms_u,
+             {"space": one(rough), "problem": one(linear),
+              "field": one(theory.defect_terms.Field(**near)),
+              "t": number(0.5, called=("radius",))}),
+        Door("spatial_terms_u, field", spatial_terms_u,
+             {"surface": function(near["surface"]), "v": returning(near["v"]),
+              "f": returning(near["f"])}),
+        Door("error_terms", error_terms,
+             {"space": one(rough), "order": whole(1, 0, *HUGE, called=("pairs",)),
+              "step": number(0.25, 0, -1), "chosen": function(small),
+              "pairs": Argument(compared, "listed", [None, 1, "a", [], {}, [1], [(1, 2)]])}),
+        Door("proposition_1", theory.stability.proposition_1,
+             {"terms": one(error_terms()), "corrected": flag(False)}),
+        Door("tangent_projection", theory.geometry.tangent_projection,
+             {"normal": array(points, before=True, rows=True)}),
+        Door("apply", theory.geometry.apply,
+             {"matrices": array(np.ones((T, Q, 3, 3)), called=("vectors",)),
+              "vectors": array(np.ones((T, Q, 3)))}),
+        Door("largest_norm", theory.geometry.largest_norm,
+             {"tensors": array(np.ones((T, Q, 3)), after=True, rows=True)}),
+        Door("lifted_norm", theory.geometry.lifted_norm,
+             {"space": one(space), "x": array(x), "onto": one(onto),
+              "values": array(np.ones((T, Q, 3)), after=True)}),
+        Door("closest_point_derivative", theory.geometry.closest_point_derivative,
+             {"surface": one(unit),
+              "points": array(points, before=True, rows=True, called=("x",))}),
+        Door("lift_operators", theory.geometry.lift_operators,
+             {"space": one(space), "x": array(x), "surface": one(unit)}),
+        Door("geometric_errors", geometric_errors,
+             {"space": one(rough), "surface": function(growing),
+              "motion": returning(lambda x, t: (1 + t) * x), "velocity": returning(lambda x: x),
+              "u": returning(lambda x: x[..., 2]),
+              "gradient": returning(lambda x: 0 * x + [0, 0, 1.0])}),
         Door("response", respond,
              {"space": one(rough), "problem": one(problem),
               "order": whole(1, 0, 7, *HUGE, called=("start",)),  # of which there are so many

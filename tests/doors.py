@@ -42,8 +42,8 @@ class Thing:
         return "Thing()"
 
 
-def number(good, *bad, optional=False):
-    return Argument(good, "number", bad, optional)
+def number(good, *bad, optional=False, called=()):
+    return Argument(good, "number", bad, optional, called)
 
 
 def whole(good, *bad, optional=False, called=()):
@@ -317,6 +317,8 @@ def same(one: Any, other: Any) -> bool:
         )
     if isinstance(one, list | tuple):
         return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, dict):
+        return list(one) == list(other) and same(list(one.values()), list(other.values()))
     if hasattr(one, "faces"):
         return same([one.vertices, one.faces], [other.vertices, other.faces])
     if hasattr(one, "indptr"):

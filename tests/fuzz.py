@@ -1,6 +1,6 @@
 """A long run of generated arguments: `make fuzz` writes book/assets/fuzz.csv.
 
-A case is a public function of ``door_table.py`` and one of its arguments, which gets a wrong kind,
+A case is a function of ``door_table.py`` and one of its arguments, which gets a wrong kind,
 another spelling of the right value, or anything that hypothesis makes up. What comes out is right,
 refused with a message that helps, or anything else; the last must not be.
 """

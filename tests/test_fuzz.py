@@ -1,4 +1,4 @@
-"""Generated arguments for all public functions, a small part of what `make fuzz` tries."""
+"""Generated arguments for what scripts call, a small part of what `make fuzz` tries."""
 
 import fuzz
 from hypothesis import HealthCheck, Phase, given, settings

@@ -1,5 +1,7 @@
-"""Each public function with a wrong kind of each argument: what it says must help."""
+"""Each function that a script calls, with wrong kinds of arguments: what it says must help."""
 
+import inspect
+import re
 import warnings
 
 import numpy as np
@@ -7,8 +9,16 @@ import pytest
 from door_table import doors
 from doors import equal, helpful, same, wrong
 
+import esfem_core as ec
+from esfem_core import theory
+
 MOST = 5  # wrong values of an argument here; `make fuzz` tries all
 DOORS = {door.name: door for door in doors()}
+# With these, rooms look at arguments for each other.
+AMONG_ROOMS = {
+    *("check_initial", "check_law", "finite_nodal", "positions_of", "same_species", "values_at"),
+    *("root_of_form", "square_matrix"),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -19,6 +29,20 @@ def _pictures_are_closed():
         warnings.simplefilter("ignore")
         yield
     pyplot.close("all")
+
+
+def test_every_function_of_the_package_itself_its_modules_and_the_theory_has_a_line():
+    modules = [getattr(owner, name) for owner in (ec, theory) for name in owner.__all__]
+    modules = [ec, *filter(inspect.ismodule, modules)]
+    called = {
+        name
+        for module in modules
+        for name in module.__all__
+        if inspect.isfunction(getattr(module, name))
+    }
+    lines = {word for name in DOORS for word in re.findall(r"\w+", name)}
+    assert len(called) > 90
+    assert called - lines == AMONG_ROOMS
 
 
 @pytest.mark.parametrize("name", DOORS)
