@@ -107,10 +107,10 @@ def apply(matrices: Array, vectors: Array) -> Array:
 
 
 def largest_norm(tensors: Array) -> float:
-    """Largest Frobenius norm of vectors (T, Q, 3) or matrices (T, Q, 3, 3)."""
+    """Largest Frobenius norm of vectors (T, Q, 3) or matrices (T, Q, 3, 3); 0 if there are none."""
     tensors = finite_array("tensors", tensors, ("T", "Q", 3, "..."))
     axes = -1 if tensors.ndim == 3 else (-2, -1)
-    return float(np.linalg.norm(tensors, axis=axes).max())
+    return float(np.linalg.norm(tensors, axis=axes).max(initial=0.0))
 
 
 def lifted_norm(space: SurfaceSpace, x: Array, onto: Lift, values: Array) -> float:

@@ -106,6 +106,7 @@ def test_sizes_are_frobenius_norms():
     tensors[0, 1] = 2.0
     assert geometry.largest_norm(tensors) == pytest.approx(6.0)
     assert geometry.largest_norm(tensors[..., 0]) == pytest.approx(np.sqrt(12))
+    assert geometry.largest_norm(tensors[:0]) == 0.0
 
 
 def test_a_normal_that_is_no_vector_is_refused():
