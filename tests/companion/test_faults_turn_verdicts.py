@@ -359,6 +359,13 @@ FAULTS = [
         'stored[r, n]["difference"][1] / stored[finest[n], n]["difference"][1]',
         'stored[r, n]["difference"][1] / stored[finest[n], n]["difference"][0]',
     ),
+    # a difference that does not depend on the step
+    (
+        "13",
+        "N-7.4-figure5",
+        '[stored[key]["difference"][i] for key in by_step]',
+        '[stored[4, 160]["difference"][i] for key in by_step]',
+    ),
 ]
 
 
