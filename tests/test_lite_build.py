@@ -123,6 +123,14 @@ def test_chapters_import_what_the_browser_can_have(build):
         assert build.modules(notebook) <= known | optional, notebook.name
 
 
+def test_chapters_import_what_their_calls_need(build):
+    """The browser loads what a chapter imports, and nothing else."""
+    for notebook in (ROOT / "book").glob("[0-9]*.ipynb"):
+        code, modules = notebook.read_text("utf8"), build.modules(notebook)
+        for call, module in (("ec.from_level_set(", "skimage"), ("ec.manufactured(", "sympy")):
+            assert call not in code or module in modules, (notebook.name, call)
+
+
 def test_no_file_of_it_names_a_host():
     for path in (ROOT / "lite").iterdir():
         if path.is_file():
