@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
+from esfem_core.companion.campaign import stored
 from esfem_core.companion.experiments.expanding_sphere import (
     errors_at_end,
     lifted_sides,
@@ -12,6 +13,7 @@ from esfem_core.companion.experiments.expanding_sphere import (
 )
 from esfem_core.companion.experiments.theorem import Norms, left_hand_sides
 from esfem_core.stepping import exact_state
+from esfem_core.study import observed_orders
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3])
@@ -74,6 +76,24 @@ def test_the_fine_run_is_at_distance_zero_from_itself():
     e = time_errors("octahedron", 0, 2, 1 / 40, [(5, [1 / 40])])
     assert set(e) == {f"p5_{q}" for q in ec.errors.Errors._fields}
     assert all(value == [0.0] for value in e.values())
+
+
+def test_errors_of_time_alone_are_those_of_the_coupling_that_is_named():
+    smooth, printed = (
+        time_errors("octahedron", 0, 2, 1 / 40, [(2, [1 / 20])], **named)["p2_v_l2"]
+        for named in ({}, {"coupling": "printed"})
+    )
+    assert printed[0] < smooth[0] / 10  # u is zero on these 18 nodes, and the smooth g feels it
+
+
+@pytest.mark.parametrize("refinements", [3, 4])
+def test_with_the_printed_coupling_errors_of_time_alone_come_to_order_three(refinements):
+    (row,) = stored("nick_table_time", coupling="printed", refinements=refinements)
+    steps = row.parameters["runs"][0][1]
+    for q in ("x_l2", "x_h1", "u_l2", "u_h1"):
+        orders = observed_orders(steps, row.results[f"p3_{q}"])
+        assert abs(orders[-1] - 3) < 0.25
+        assert abs(orders[-1] - 3) < abs(orders[0] - 3)
 
 
 def test_left_hand_sides_leave_out_starting_states_and_weigh_the_steps_they_look_at():
