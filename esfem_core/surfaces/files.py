@@ -36,6 +36,7 @@ from esfem_core.surfaces.text_files import (
     check_ply,
     counted_from_the_first,
     points_and_polygons,
+    utf_8,
 )
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
@@ -324,7 +325,9 @@ def _of_file(path: Path) -> Elements:
     said = io.StringIO()
     try:
         if kind == "off":
-            points, polygons = points_and_polygons(path.read_text("utf-8", "replace"))
+            points, polygons = points_and_polygons(
+                utf_8(path.read_bytes()).decode("utf-8", "replace")
+            )
             cells = [("triangle" if p.shape[1] == 3 else "polygon", p) for p in polygons]
             found = Elements(path.name, points, cells, None, [])
         elif kind in BY_TRIMESH:

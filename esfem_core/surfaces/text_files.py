@@ -1,12 +1,26 @@
 """Files that are text: what trimesh reads differently from what their formats say."""
 
+import codecs
 import re
 
 import numpy as np
 
 from esfem_core.checks import Array, Ints
 
-__all__ = ["check_ply", "counted_from_the_first", "points_and_polygons"]
+__all__ = ["check_ply", "counted_from_the_first", "points_and_polygons", "utf_8"]
+
+
+def utf_8(data: bytes) -> bytes:
+    r"""A text without the byte-order mark that programs of Windows put first, or data as it is.
+
+    Examples
+    --------
+    >>> utf_8(b"\xef\xbb\xbfv 0 0 0"), utf_8("v 1 0 0".encode("utf-16"))
+    (b'v 0 0 0', b'v 1 0 0')
+    """
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def counted_from_the_first(data: bytes) -> bytes | None:
@@ -15,8 +29,8 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     Negative numbers count back from the last vertex above their line, so that a part of a file
     does not depend on those before it; trimesh counts them from the end of the file. Of corners
     such as -3/-3/-3 the first number, the position, is kept. A corner 0, which trimesh takes for
-    the first, is refused. Lines that are indented or have tabs, which it does not see, have their
-    words between single blanks.
+    the first, is refused. Lines that are indented or have tabs, and a first one behind a byte-order
+    mark, which it does not see, have their words between single blanks.
 
     Examples
     --------
@@ -25,11 +39,12 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     >>> counted_from_the_first(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3") is None
     True
     """
-    data = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", data))
-    if re.search(rb"^ |\t|^f\s.*(-|(?<=\s)0+(?=[\s/]|$))", data, re.MULTILINE) is None:
-        return None
+    plain = utf_8(data)
+    text = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", plain))
+    if re.search(rb"^ |\t|^f\s.*(-|(?<=\s)0+(?=[\s/]|$))", text, re.MULTILINE) is None:
+        return plain if plain != data else None
     lines, count = [], 0
-    for line in data.splitlines():
+    for line in text.splitlines():
         words = line.split(b"#")[0].split()
         if words[:1] == [b"v"]:
             count += 1

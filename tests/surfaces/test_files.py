@@ -429,6 +429,37 @@ def test_an_obj_file_may_have_tabs_and_indented_lines(folder):
         assert np.allclose(tri.vertices, SMALL.vertices, rtol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("kind", "encoding"),
+    [
+        *((k, "utf-8-sig") for k in ("obj", "off", "stl", "ply")),
+        ("obj", "utf-16"),
+        ("off", "utf-16"),
+    ],
+)
+def test_a_byte_order_mark_takes_no_vertex_away(folder, kind, encoding):
+    """A vertex without triangles at the end made up for the first one of OBJ files, unnoticed."""
+    option = {"encoding": "ascii"} if kind == "ply" else {}
+    text = SMALL.export(file_type="stl_ascii" if kind == "stl" else kind, **option)
+    text = text if isinstance(text, str) else text.decode()
+    if kind == "obj":
+        text = text[text.index("v ") :] + "\nv 9 9 9\n"
+    path = folder / f"small.{kind}"
+    path.write_bytes(text.encode(encoding))
+    tri, said = read(path)
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert tri.volume == pytest.approx(SMALL.volume, rel=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_negative_numbers_count_back_behind_a_byte_order_mark_as_well(folder, encoding):
+    lines = [f"v {x} {y} {z}" for x, y, z in SMALL.vertices.tolist()]
+    n = len(lines)
+    lines += [f"f {i} {j} {k}" for i, j, k in (SMALL.faces - n).tolist()]
+    (folder / "small.obj").write_bytes("\n".join([*lines, "v 9 9 9"]).encode(encoding))
+    np.testing.assert_array_equal(read(folder / "small.obj")[0].vertices, SMALL.vertices)
+
+
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "2 0//1 1", " 1\t00 2 # last"])
 def test_a_corner_0_of_an_obj_file_is_not_taken_for_the_first(folder, face):
     path = folder / "zero.obj"
