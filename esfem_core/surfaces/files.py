@@ -36,6 +36,7 @@ from esfem_core.surfaces.text_files import (
     check_ply,
     counted_from_the_first,
     points_and_polygons,
+    solids,
     utf_8,
 )
 
@@ -413,9 +414,17 @@ def _meshio(path: Path) -> Any:
 def _scene(path: Path, kind: str) -> Any:
     if kind == "obj" and (text := counted_from_the_first(path.read_bytes())) is not None:
         return trimesh.load(io.BytesIO(text), file_type=kind, force="scene", process=False)
+    if kind in ("stl", "stl_ascii") and (parts := solids(path.read_bytes())) is not None:
+        return trimesh.Scene([_solid(corners.reshape(-1, 3), len(parts)) for corners in parts])
     if kind == "ply":
         check_ply(path.read_bytes())
     return trimesh.load(path, force="scene", process=False)
+
+
+def _solid(corners: Array, count: int) -> trimesh.Trimesh:
+    """One of so many solids; of several each is joined by itself: two may have a side in common."""
+    place = merged(corners, 0.0) if count > 1 else np.arange(len(corners))
+    return trimesh.Trimesh(*without_unused(corners, place.reshape(-1, 3), []), process=False)
 
 
 def _of_scene(name: str, scene: trimesh.Scene) -> Elements:

@@ -7,7 +7,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 
-__all__ = ["check_ply", "counted_from_the_first", "points_and_polygons", "utf_8"]
+__all__ = ["check_ply", "counted_from_the_first", "points_and_polygons", "solids", "utf_8"]
 
 
 def utf_8(data: bytes) -> bytes:
@@ -140,3 +140,34 @@ def _is_whole(words: list[bytes], properties: list[str]) -> bool:
     for kind in properties:
         n += 1 + (int(float(words[n])) if kind == "list" and n < len(words) else 0)
     return n <= len(words)
+
+
+def solids(data: bytes) -> list[Array] | None:
+    r"""Corners of the triangles of each solid of an STL file, (T, 3, 3), or None if it is no text.
+
+    Of several solids trimesh merges vertices within 1e-8, however small they are, and leaves out
+    the last one if the file was cut off.
+
+    Examples
+    --------
+    >>> facet = b"facet normal 0 0 1\n" + 3 * b"vertex 1 2 3e-9\n" + b"endfacet\n"
+    >>> [len(solid) for solid in solids(2 * (b"solid a\n" + facet + b"endsolid a\n"))]
+    [1, 1]
+    """
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        return None
+    text = b"\n" + re.sub(rb"\r\n?", b"\n", utf_8(data)).lower()
+    *whole, rest = re.split(rb"\n[ \t]*endsolid\b.*", text)
+    found = []
+    for solid in [*whole, rest]:
+        facets = re.sub(rb"\n[ \t]*solid\b.*", b"", solid)  # without its name
+        corners = re.findall(rb"vertex[ \t]+([-+.\dni]\S*[ \t]+\S+[ \t]+\S+)", facets)
+        count = len(re.findall(rb"\bfacet\b", facets))
+        if len(corners) != 3 * count or (count and solid is rest):
+            raise ValueError(
+                f"it was cut off, or has other facets than triangles: solid {len(found)} has "
+                f"{count} facets and {len(corners)} corners"
+                f"{', and does not end' if solid is rest else ''}"
+            )
+        found.append(np.array(b" ".join(corners).split(), dtype=float).reshape(-1, 3, 3))
+    return [corners for corners in found if len(corners)]

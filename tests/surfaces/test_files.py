@@ -12,7 +12,7 @@ from broken_meshes import SMALL, SPHERE, half, klein_bottle, mesh, pinched, soup
 
 import esfem_core as ec
 from esfem_core.surfaces.files import BY_MESHIO, BY_TRIMESH
-from esfem_core.surfaces.text_files import check_ply
+from esfem_core.surfaces.text_files import check_ply, solids
 
 DATA = Path(__file__).parent / "data"
 SHARED = Path(__file__).parents[2]
@@ -458,6 +458,56 @@ def test_negative_numbers_count_back_behind_a_byte_order_mark_as_well(folder, en
     lines += [f"f {i} {j} {k}" for i, j, k in (SMALL.faces - n).tolist()]
     (folder / "small.obj").write_bytes("\n".join([*lines, "v 9 9 9"]).encode(encoding))
     np.testing.assert_array_equal(read(folder / "small.obj")[0].vertices, SMALL.vertices)
+
+
+def text_stl(*parts):
+    """Solids of an STL file, with all digits."""
+    facet = (
+        "facet normal 0 0 0\nouter loop\n" + 3 * "vertex {!r} {!r} {!r}\n" + "endloop\nendfacet\n"
+    )
+    return "".join(
+        "solid vertex 1 of a facet\n"
+        + "".join(facet.format(*corners) for corners in part.triangles.reshape(-1, 9).tolist())
+        + "endsolid\n"
+        for part in parts
+    )
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e-9, 1.0])
+@pytest.mark.parametrize("count", [1, 2])
+def test_solids_of_an_stl_file_of_text_keep_their_vertices_whatever_their_size(folder, size, count):
+    """Vertices within 1e-8 were made one, if there were several solids."""
+    parts = [
+        mesh(size * (SPHERE.vertices + np.array([3 * i, 0, 0])), SPHERE.faces) for i in range(count)
+    ]
+    (folder / "small.stl").write_text(text_stl(*parts))
+    tri, said = read(folder / "small.stl")
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert len(tri.vertices) == count * len(SPHERE.vertices)
+    assert tri.volume / size**3 == pytest.approx(count * SPHERE.volume)
+
+
+def test_solids_with_a_side_in_common_stay_two(folder):
+    boxes = [trimesh.creation.box(bounds=[[i, 0, 0], [i + 1, 1, 1]]) for i in (0, 1)]
+    (folder / "boxes.stl").write_text(text_stl(*boxes))
+    tri, said = read(folder / "boxes.stl")
+    assert said[-1] == "fit for ec.SurfaceSpace"
+    assert len(tri.vertices) == 16
+
+
+def test_an_stl_file_of_text_that_was_cut_off_is_no_surface_without_its_last_solid(folder):
+    text, path = text_stl(SMALL, SPHERE), folder / "cut.stl"
+    assert len(solids(text.upper().replace("\n", "\r\n").encode())) == 2
+    for share in (0.3, 0.5, 0.9):
+        path.write_text(text[: int(share * len(text))])
+        with pytest.raises(
+            ValueError, match=r"cut\.stl cannot be read as \.stl \(.*it was cut off"
+        ):
+            read(path)
+    for wrong in (text.replace("vertex", "", 4), text.removesuffix("endsolid\n")):
+        path.write_text(wrong)
+        with pytest.raises(ValueError, match=r"was cut off, or has other facets than triangles"):
+            read(path)
 
 
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "2 0//1 1", " 1\t00 2 # last"])
