@@ -418,7 +418,15 @@ def _scene(path: Path, kind: str) -> Any:
         return trimesh.Scene([_solid(corners.reshape(-1, 3), len(parts)) for corners in parts])
     if kind == "ply":
         check_ply(path.read_bytes())
-    return trimesh.load(path, force="scene", process=False)
+    try:
+        return trimesh.load(path, force="scene", process=False)
+    except ValueError as error:
+        if kind == "ply" and "unexpected length" in str(error):
+            raise ValueError(
+                "it was cut off, or has polygons of several kinds, which are read from PLY files "
+                "of text only"
+            ) from error
+        raise
 
 
 def _solid(corners: Array, count: int) -> trimesh.Trimesh:

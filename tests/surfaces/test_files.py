@@ -544,6 +544,19 @@ def test_a_ply_file_of_text_that_was_cut_off_is_no_surface_with_holes(folder):
         read(path)
 
 
+@pytest.mark.parametrize("last", [[3, 0, 1, 4], [3, 0, 1]])
+def test_polygons_of_several_kinds_in_a_binary_ply_file_are_not_said_to_be_cut_off_only(
+    folder, last
+):
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 5\n"
+    head += "".join(f"property float {name}\n" for name in "xyz")
+    head += "element face 2\nproperty list uchar uchar vertex_indices\nend_header\n"
+    data = head.encode() + np.eye(5, 3, dtype="<f4").tobytes() + bytes([4, 3, 2, 1, 0, *last])
+    (folder / "pyramid.ply").write_bytes(data)
+    with pytest.raises(ValueError, match="was cut off, or has polygons of several kinds"):
+        read(folder / "pyramid.ply")
+
+
 def test_a_ply_file_whose_header_gives_too_few_vertices_is_refused(folder):
     data, n = SMALL.export(file_type="ply", encoding="ascii"), len(SMALL.vertices)
     path, wrong = folder / "small.ply", f"vertex {n - 1}\n".encode()
