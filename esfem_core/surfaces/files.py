@@ -602,8 +602,15 @@ def _scale(found: Elements, unit: str | None) -> tuple[float, str | None]:
             "such as tri.apply_scale(0.001)"
         )
     try:
+        trimesh.units.unit_conversion(found.unit, "meters")
+    except (KeyError, ValueError) as error:
+        raise ValueError(
+            f"{found.name} says its unit is {found.unit!r}, which is not known here: set units to "
+            'a word such as "microns", "nanometers" or "mm", or leave unit out'
+        ) from error
+    try:
         return float(trimesh.units.unit_conversion(found.unit, unit)), unit
     except (KeyError, ValueError) as error:
         raise ValueError(
-            f'unit must be a unit of length such as "meters", got {shown(unit)}'
+            f'unit must be a unit of length such as "meters" or "microns", got {shown(unit)}'
         ) from error

@@ -124,6 +124,19 @@ def test_units_are_kept_converted_or_missed(folder):
         read(written(folder, "sphere.stl"), unit="meters")
 
 
+@pytest.mark.parametrize("unit", ["um", "µm", "nm", "furlongs"])
+def test_the_unit_that_is_not_known_is_the_one_that_is_named(unit):
+    tri = SPHERE.copy()
+    tri.units = unit
+    assert read(tri)[0].units == unit
+    with pytest.raises(ValueError, match=f"Trimesh says its unit is '{unit}', which is not known"):
+        read(tri, unit="mm")
+    tri.units = "microns"
+    assert read(tri, unit="mm")[0].extents == pytest.approx(1e-3 * SPHERE.extents)
+    with pytest.raises(ValueError, match=f"unit must be a unit .* or \"microns\", got '{unit}'"):
+        read(tri, unit=unit)
+
+
 def test_parts_in_different_units_are_not_joined():
     small, large = SPHERE.copy(), SPHERE.copy().apply_translation([3, 0, 0])
     small.units, large.units = "mm", "m"
