@@ -6,7 +6,7 @@ import trimesh
 from esfem_core.checks import Array, Ints, flag
 from esfem_core.surfaces.faults import check_is_trimesh, fault
 from esfem_core.surfaces.orientation import sides_of
-from esfem_core.surfaces.places import joined
+from esfem_core.surfaces.places import gap_of, joined
 from esfem_core.surfaces.repair import check_coordinates, remedy, without_unused
 
 __all__ = ["boundary_advice", "check_triangulation"]
@@ -71,7 +71,7 @@ def boundary_advice(vertices: Array, faces: Ints) -> str:
     >>> boundary_advice(np.eye(3), np.array([[0, 1, 2]]))
     '; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is'
     """
-    if fault(vertices, faces, boundary=True) is not None:
+    if fault(vertices, faces, boundary=True) is not None or gap_of(vertices, faces) > 0:
         return ""
     return "; where the motion is prescribed, a SurfaceSpace with boundary=True takes it as it is"
 

@@ -6,11 +6,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Bools, Ints
-from esfem_core.surfaces.orientation import sides_of
+from esfem_core.surfaces.orientation import components, normals_of, sides_of
 
-__all__ = ["NEAR", "diagonal_of", "joined", "merged", "merging", "repeated"]
+__all__ = ["NEAR", "PIECES", "diagonal_of", "gap_of", "joined", "merged", "merging", "repeated"]
 
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
+BESIDE = 0.1  # distance of the ends of two edges that were one, over their length
+PIECES = 0.1  # area of pieces that is too much to be lost, over that of all triangles
 
 
 def diagonal_of(points: Array) -> float:
@@ -86,6 +88,45 @@ def joined(vertices: Array, faces: Ints) -> tuple[Ints, float]:
         if _open_edges(moved) < is_open and not (repeated(moved) & whole).any():
             best, distance, is_open = moved, near * size, _open_edges(moved)
     return best, distance
+
+
+def gap_of(vertices: Array, faces: Ints) -> float:
+    """How far corners are apart across the cracks of a surface in pieces, or 0 if it is in one.
+
+    A piece is a component that ends mostly where another one goes on, its edges beside those of the
+    other, but too far from them to be joined. Pieces of little area beside a large one are none:
+    a triangle or two may be lost.
+
+    Examples
+    --------
+    >>> x = np.vstack([np.eye(3), np.eye(3) + [0, 0, 1e-3]])
+    >>> print(f"{gap_of(x, np.array([[0, 1, 2], [5, 4, 3]])):.1e}")
+    1.0e-03
+    >>> gap_of(x, np.array([[0, 1, 2], [2, 1, 3]]))
+    0.0
+    """
+    sides = sides_of(faces)
+    rim = np.flatnonzero(sides.times == 1)
+    if len(rim) < 2:
+        return 0.0
+    ends = vertices[np.stack([sides.start[rim], sides.end[rim]])]  # (2, R, 3)
+    middle = ends.mean(axis=0)
+    near = np.asarray(cKDTree(middle).query(middle, k=2)[1])
+    other = np.where(near[:, 0] == np.arange(len(rim)), near[:, 1], near[:, 0])
+    gap = np.minimum(*(_apart(ends, there[:, other]) for there in (ends, ends[::-1])))
+    label = components(faces)
+    area = np.bincount(label, np.linalg.norm(normals_of(vertices, faces), axis=1))
+    own = label[rim // 3]
+    beside = (own != own[other]) & (gap > NEAR[-1] * diagonal_of(vertices))
+    beside &= gap <= BESIDE * np.linalg.norm(ends[1] - ends[0], axis=1)
+    # More of its edges are beside others than not.
+    piece = np.bincount(own, 2 * beside - 1, minlength=len(area)) > 0
+    piece[np.argmax(area)] = False
+    return float(gap[beside].max()) if area[piece].sum() > PIECES * area.sum() else 0.0
+
+
+def _apart(ends: Array, others: Array) -> Array:
+    return np.asarray(np.linalg.norm(ends - others, axis=2).max(axis=0))
 
 
 def _open_edges(faces: Ints) -> int:

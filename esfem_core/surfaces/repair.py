@@ -30,7 +30,7 @@ from esfem_core.surfaces.orientation import (
     turned_to_agree,
     with_turned,
 )
-from esfem_core.surfaces.places import NEAR, diagonal_of, merged, merging, repeated
+from esfem_core.surfaces.places import NEAR, PIECES, diagonal_of, gap_of, merged, merging, repeated
 
 __all__ = [
     "Repaired",
@@ -67,7 +67,8 @@ def repair(
     4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
        into triangles which lie on each other, as those that are not convex, are cut anew;
     5. holes of up to `holes` edges are filled without new vertices, with the smallest area, and
-       triangles without area flipped away again;
+       triangles without area flipped away again; but not if a tenth of the surface or more is in
+       pieces that end where others go on;
     6. components that enclose no volume, single triangles and sheets, are dropped with their
        vertices if there are others; where surfaces touch in a vertex or an edge, each gets its
        own, moved apart by a thousandth of the triangles, so that no later merging joins them;
@@ -220,7 +221,11 @@ def counted(n: int, one: str, many: str | None = None) -> str:
 
 def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
     """Advice for what a repair leaves: larger lids where they would do."""
-    sides = sides_of(repaired(vertices, faces, 0).faces)
+    bare = repaired(vertices, faces, 0)
+    if gap := gap_of(bare.vertices, bare.faces):
+        whole = len(bare.faces) == len(faces) and np.isfinite(vertices).all()
+        return _joining(*((vertices, faces) if whole else bare[:2]), gap)
+    sides = sides_of(bare.faces)
     lengths = [len(rim) for rim in rims(sides.start, sides.end, sides.times == 1)]
     largest = max(lengths, default=0)
     if not holes < largest <= LID:
@@ -235,6 +240,24 @@ def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
         f"{largest} edges {'is' if len(lengths) == 1 else 'are'} open: "
         f"tri = ec.repair(tri, holes={largest}) {'puts' if known else 'may put'} lids on them"
     )
+
+
+def _joining(vertices: Array, faces: Ints, gap: float) -> str:
+    """Advice for a surface in pieces: to round their corners to the same digits, if that helps."""
+    text = f"it is in pieces that share no vertices, whose corners are up to {gap:.1g} apart: "
+    sides = sides_of(faces)
+    lengths = np.linalg.norm(vertices[sides.end] - vertices[sides.start], axis=1)
+    digits = int(np.ceil(-np.log10(lengths[lengths > gap].min() / 2)))
+    attempt = trimesh.Trimesh(vertices, faces, process=False)
+    attempt.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=digits)
+    result = repaired(np.array(attempt.vertices), np.array(attempt.faces, dtype=np.int64))
+    kept = len(result.faces) >= (1 - PIECES) * len(faces)
+    if kept and fault(result.vertices, result.faces) is None:
+        text += (
+            f"tri.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex={digits}) before "
+            "tri = ec.repair(tri) joins them; or "
+        )
+    return f"{text}write it with shared vertices, or merge them with a program such as MeshLab"
 
 
 def without_unused(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
@@ -397,8 +420,8 @@ def _agree(faces: Ints, steps: list[str]) -> Ints:
 def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
     """Step 5."""
     sides = sides_of(faces)
-    if not (sides.times == 1).any() or holes < 3:
-        return faces
+    if not (sides.times == 1).any() or holes < 3 or gap_of(vertices, faces) > 0:
+        return faces  # lids on both sides of a crack would make bodies of the pieces
     taken = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
     sizes, lids = [], []
     for rim in rims(sides.start, sides.end, sides.times == 1):

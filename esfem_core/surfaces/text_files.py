@@ -158,7 +158,7 @@ def solids(data: bytes) -> list[Array] | None:
         return None
     text = b"\n" + re.sub(rb"\r\n?", b"\n", utf_8(data)).lower()
     *whole, rest = re.split(rb"\n[ \t]*endsolid\b.*", text)
-    found = []
+    found: list[Array] = []
     for solid in [*whole, rest]:
         facets = re.sub(rb"\n[ \t]*solid\b.*", b"", solid)  # without its name
         corners = re.findall(rb"vertex[ \t]+([-+.\dni]\S*[ \t]+\S+[ \t]+\S+)", facets)

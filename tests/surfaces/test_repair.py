@@ -1,6 +1,7 @@
 """What a repair does to a mesh, and what it leaves alone."""
 
 import contextlib
+import re
 import sys
 import tracemalloc
 
@@ -115,6 +116,62 @@ def test_near_vertices_are_one_up_to_a_millionth_of_the_diagonal(distance, merge
     whole, said = repaired(mesh(np.vstack([SPHERE.vertices, off]), faces))
     assert said[0].startswith("merged 45 vertices into 42") == merges
     assert len(whole.vertices) == 42
+
+
+def shaken(tri, distance):
+    x = np.asarray(tri.vertices)
+    return mesh(x + distance * np.random.default_rng(0).normal(size=x.shape), tri.faces)
+
+
+@pytest.mark.parametrize("distance", [5e-6, 1e-5, 1e-3])
+def test_triangles_that_share_no_vertices_are_not_dropped_under_lids_of_their_own(distance):
+    """Or else a thousandth of the body was left, and fit for a space."""
+    whole = ec.sphere("icosahedron", 2)
+    tri = shaken(soup(whole), distance)
+    said = []
+    ec.read_mesh(tri, report=said.append)
+    with pytest.raises(ValueError, match="in pieces that share no vertices, whose corners") as told:
+        repaired(tri)
+    assert "in pieces that share no vertices" in said[-1]
+    assert "boundary=True" not in said[-1]
+    if distance < 1e-3:
+        call, then = re.findall(r"apart: tri\.(\S.*\)) before tri = (.*\)) joins", str(told.value))[
+            0
+        ]
+        eval(f"tri.{call}", {"tri": tri})
+        again = eval(then, {"ec": ec, "tri": tri})
+        assert again.volume == pytest.approx(whole.volume, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e30])
+def test_advice_to_round_corners_knows_the_size_of_the_surface(size):
+    tri = shaken(soup(ec.sphere("icosahedron", 1)), 1e-5)
+    with pytest.raises(ValueError, match=r"digits_vertex=-?\d+\) before .* joins them"):
+        repaired(mesh(size * tri.vertices, tri.faces))
+
+
+def test_two_halves_with_a_crack_between_them_are_not_made_two_bodies():
+    tri = ec.sphere("octahedron", 1)
+    upper = tri.triangles_center[:, 2] > 0
+    one, other = (
+        mesh(tri.vertices + np.array([0, 0, z]), tri.faces[at])
+        for z, at in ((2e-5, upper), (0, ~upper))
+    )
+    with pytest.raises(
+        ValueError, match=r"in pieces .* are up to 2e-05 apart: tri\.merge_vertices"
+    ):
+        repaired(joined(one, other))
+
+
+def test_a_ground_that_is_larger_than_the_body_on_it_is_dropped():
+    ground = soup(
+        mesh(
+            np.array([[9, 9, -1], [-9, 9, -1], [-9, -9, -1], [9, -9, -1.0]]), [[0, 1, 2], [0, 2, 3]]
+        )
+    )
+    whole, said = repaired(joined(SPHERE, ground))
+    assert len(whole.faces) == len(SPHERE.faces)
+    assert "dropped 1 component without volume" in said
 
 
 def test_degenerate_triangles_go_and_the_shape_stays():
