@@ -5,6 +5,7 @@ vanish at its zeros. It is negative inside and positive outside.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -76,10 +77,23 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
     def project(points: Array) -> Array:
         return _by_distance(project_alike, finite_array("points", points, ("n", 3)))
 
-    def project_alike(x: Array) -> Array:
-        size = size_of(d, x)
+    def with_size(size: float, x: Array) -> Array:
         slope = checked_gradient(d, gradient, size)
         return with_its_gradient(d, gradient, size, lambda x: _closest(d, slope, x), x)
+
+    def project_alike(x: Array) -> Array:
+        size = size_of(d, x)
+        try:
+            return with_size(size, x)
+        except ValueError:
+            # Where terms of d cancel, its rounding is larger than that of the coordinates, and
+            # points sway with the differences of a short step.
+            if gradient is None and FAR * size < _scale(x):
+                for longer in (float(np.ptp(x, axis=0).max()), _scale(x)):
+                    if longer > size:
+                        with suppress(ValueError):
+                            return with_size(longer, x)
+            raise
 
     return project
 

@@ -136,6 +136,27 @@ def test_thin_surfaces_have_their_closest_points(r):
     np.testing.assert_allclose(project(x), y, rtol=0, atol=2e-11)
 
 
+def expanded_sphere(x, c):
+    return (x**2).sum(axis=1) - 2 * c * x.sum(axis=1) + 3 * c**2 - 1
+
+
+@pytest.mark.parametrize("r", [0.03, 0.01])
+def test_polynomials_whose_terms_cancel_have_their_closest_points(r):
+    def d(x):
+        return ((x**2).sum(axis=1) + 1 - r**2) ** 2 - 4 * (x[:, :2] ** 2).sum(axis=1)
+
+    y = torus_closest(NEAR, r)
+    x = y + 0.3 * (y - torus_closest(NEAR, 0))
+    np.testing.assert_allclose(ec.project_to_level_set(d)(x), y, rtol=0, atol=2e-11)
+
+
+@pytest.mark.parametrize("c", [10, 30])
+def test_spheres_whose_squares_are_expanded_have_their_closest_points(c):
+    u = ec.to_unit_sphere(np.random.default_rng(0).normal(size=(2000, 3)))
+    y = ec.project_to_level_set(lambda x: expanded_sphere(x, c))(c + 1.05 * u)
+    np.testing.assert_allclose(y, c + u, rtol=0, atol=2e-9)
+
+
 def test_a_point_that_sways_with_the_errors_of_differences_is_not_too_far_away():
     x = np.array([[0.935047854779887, -0.8898793992604399, 0.7163563527889524]])
     y = ec.project_to_level_set(distance_to_sphere)(x)
