@@ -137,7 +137,8 @@ def reach(d: Field, points: Array) -> Array:
     Parameters
     ----------
     d : callable
-        (n, 3) -> (n,).
+        (n, 3) -> (n,). It is asked up to a thousandth of the largest coordinate from the points,
+        or less where it raises an error there or is no number.
     points : (n, 3) float array
 
     Returns
@@ -155,14 +156,7 @@ def reach(d: Field, points: Array) -> Array:
     length, todo = np.full(len(points), _scale(points)), np.arange(len(points))
     least = SHORTEST_REACH * _scale(points)
     for _ in range(MAX_STEPS):
-        moves = NEARBY * length[todo, None] * DIRECTIONS[:, None]
-        here = checked_values(d, points[todo], (), "d")
-        before, after = (
-            checked_values(d, (points[todo] + s * moves).reshape(-1, 3), (), "d").reshape(6, -1)
-            for s in (-1, 1)
-        )
-        along = np.abs(after - before).max(axis=0) / 2
-        bent = np.abs(after - 2 * here + before).max(axis=0)
+        along, bent = _bending(d, points[todo], NEARBY * length[todo])
         # Seen over a length that is too long, d bends by another amount: look again.
         again = (bent > 2 * NEARBY * along) & (length[todo] > least)
         if not again.any():
@@ -170,6 +164,26 @@ def reach(d: Field, points: Array) -> Array:
         todo, share = todo[again], NEARBY * along[again] / bent[again]
         length[todo] = np.maximum(share * length[todo], least)
     return length
+
+
+def _bending(d: Field, x: Array, step: Array) -> tuple[Array, Array]:
+    """Largest first and second differences of d at points, of steps (n,).
+
+    Where d is not known so far from the points, they are those that make `reach` look again at a
+    tenth of the length.
+    """
+    moves = step[:, None] * DIRECTIONS[:, None]
+    here = checked_values(d, x, (), "d")
+    try:
+        with np.errstate(all="ignore"):
+            before, after = (
+                checked_values(d, (x + s * moves).reshape(-1, 3), (), "d").reshape(6, -1)
+                for s in (-1, 1)
+            )
+    except Exception:  # d is the user's, and what it does out there is not known
+        return np.ones(len(x)), np.full(len(x), 10 * NEARBY)
+    along = np.abs(after - before).max(axis=0) / 2
+    return along, np.abs(after - 2 * here + before).max(axis=0)
 
 
 def size_of(d: Field, points: Array) -> float:

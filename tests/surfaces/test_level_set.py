@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from level_sets import ellipsoid, torus, two_rings, unit_sphere
+from scipy.interpolate import RegularGridInterpolator
 
 import esfem_core as ec
 from esfem_core.surfaces import central_gradient, descend
+from esfem_core.surfaces.exact_surfaces import LevelSet
 from esfem_core.surfaces.level_set import reach
 
 NEAR = np.random.default_rng(0).standard_normal((200, 3))
@@ -155,6 +157,32 @@ def test_spheres_whose_squares_are_expanded_have_their_closest_points(c):
     u = ec.to_unit_sphere(np.random.default_rng(0).normal(size=(2000, 3)))
     y = ec.project_to_level_set(lambda x: expanded_sphere(x, c))(c + 1.05 * u)
     np.testing.assert_allclose(y, c + u, rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize(("name", "away"), [("root", 1e3), ("growth", 1e5), ("image", 1210)])
+def test_a_function_may_be_known_near_the_surface_only(name, away, given):
+    centre = away * np.array([1, 1, -1])
+    axes = [np.linspace(-1.3, 1.3, 14) + c for c in centre]
+
+    def square(x):
+        return ((x - centre) ** 2).sum(axis=-1)
+
+    image = square(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)) - 1
+    d, slope = {  # and its derivative with respect to the square
+        "root": (lambda x: np.sqrt(3) - np.sqrt(4 - square(x)), lambda s: 0.5 / np.sqrt(4 - s)),
+        "growth": (lambda x: np.exp(square(x)) - np.e, np.exp),
+        "image": (RegularGridInterpolator(axes, image, method="cubic"), np.ones_like),
+    }[name]
+
+    def gradient(x):
+        return 2 * (x - centre) * slope(square(x))[:, None]
+
+    u = ec.to_unit_sphere(NEAR[:20])
+    level_set = LevelSet(d, gradient if given else None)
+    near = level_set.near(centre + 1.2 * u)
+    np.testing.assert_allclose(near.points, centre + u, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(near.mean_curvature, 2, rtol=1e-6)
 
 
 def test_a_point_that_sways_with_the_errors_of_differences_is_not_too_far_away():
