@@ -37,6 +37,7 @@ ALIKE = 1e-3  # by so much of its size it may differ there; differences are good
 LARGEST = 1e150  # value and slope; their squares must be numbers, and
 SMALLEST = 1e-150  # those of slopes not be zero
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
+STEP_OF_SINGLE = 1e-9  # relative to the coordinates: far below the rounding of single precision
 NEARBY = 1e-3  # step of the differences that show how d bends, relative to its reach
 SHORTEST_REACH = 1e-8  # relative to the coordinates: a shorter one drowns in their rounding
 DIRECTIONS = np.vstack([np.eye(3), (1 - np.eye(3)) / np.sqrt(2)])  # all second derivatives in six
@@ -300,13 +301,22 @@ def _descend(d: Field, gradient: Field, start: Array) -> Array:
         if len(todo) == 0:
             return x
     last = checked_values(d, x[todo], (), "d")
-    if last.any() and np.array_equal(last, last.astype(np.float32)):
+    if _in_steps(d, x[todo], last):
         raise ValueError(_in_single_precision("numbers of single precision"))
     raise ValueError(
         f"Newton's method does not reach the surface from {start[todo[0]].tolist()} "
         f"({len(todo)} such points): it is too far away, or d is not smooth, or its gradient "
-        "vanishes on the surface, or what is meshed is thinner there than triangles are long"
+        "vanishes on the surface, or what is meshed is thinner there than triangles are long, or "
+        f"terms of d cancel and leave rounding errors (its last values are up to "
+        f"{np.abs(last).max():.2g})"
     )
+
+
+def _in_steps(d: Field, x: Array, values: Array) -> bool:
+    """Whether d stays the same next to most points, as functions in single precision do."""
+    moved = x + STEP_OF_SINGLE * _scale(x) * DIRECTIONS[:, None]
+    same = checked_values(d, moved.reshape(-1, 3), (), "d").reshape(6, -1) == values
+    return bool(2 * same.sum() > same.size)
 
 
 def _by_distance(function: Field, x: Array) -> Array:

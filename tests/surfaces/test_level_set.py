@@ -185,6 +185,19 @@ def test_a_function_may_be_known_near_the_surface_only(name, away, given):
     np.testing.assert_allclose(near.mean_curvature, 2, rtol=1e-6)
 
 
+def test_rounding_errors_of_terms_that_cancel_are_not_called_single_precision():
+    u = ec.to_unit_sphere(np.random.default_rng(0).normal(size=(2000, 3)))
+    project = ec.project_to_level_set(lambda x: expanded_sphere(x, 300))
+    with pytest.raises(ValueError, match=r"terms of d cancel .* \(its last values are up to .*e-1"):
+        project(300 + 1.05 * u)
+
+    def single(x):
+        return ((x.astype(np.float32) ** 2).sum(axis=1) - np.float32(1)).astype(float)
+
+    with pytest.raises(ValueError, match="must be of double precision, got numbers of single"):
+        ec.project_to_level_set(single)(1.05 * u[:20])
+
+
 def test_a_point_that_sways_with_the_errors_of_differences_is_not_too_far_away():
     x = np.array([[0.935047854779887, -0.8898793992604399, 0.7163563527889524]])
     y = ec.project_to_level_set(distance_to_sphere)(x)
