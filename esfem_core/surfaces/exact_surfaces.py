@@ -278,9 +278,11 @@ class LevelSet(ExactSurface):
         (n, 3) -> (n,), smooth, zero on the surface, positive outside.
     gradient : callable, optional
         (n, 3) -> (n, 3), its gradient; by central differences if None. Second derivatives are
-        differences of the gradient if it is given, with a relative error of about 1e-11, and
-        otherwise of d, with about 1e-9. Where radii of curvature are small against the
-        coordinates it grows, to 1e-7 at a millionth of them.
+        differences of the gradient if it is given, with an error of about 1e-11 relative to the
+        largest of them, and otherwise of d, with about 1e-9. Where radii of curvature are small
+        against the coordinates it grows, to 1e-6 at a millionth of them, and on short waves of the
+        surface, whose points of inflection look plain: to about ``2e-9 (R/w)**4`` for waves of
+        length w on a surface of radius R.
 
     Examples
     --------

@@ -144,6 +144,21 @@ def test_the_curvature_of_a_thin_level_set_is_right(r, accuracy):
     np.testing.assert_allclose(LevelSet(d).mean_curvature(x), expected, rtol=accuracy)
 
 
+@pytest.mark.parametrize(("height", "k"), [(1e-2, 10), (1e-2, 30), (1e-3, 100)])
+def test_the_curvature_of_waves_is_as_wrong_as_documented(height, k):
+    x = Sphere().closest(np.random.default_rng(0).normal(size=(500, 3)))
+    level_set = LevelSet(lambda x: (x**2).sum(axis=1) - 1 - height * np.sin(k * x[:, 0]))
+    near = level_set.near(x)
+    second = np.full((500, 3), 2.0)
+    second[:, 0] += height * k**2 * np.sin(k * near.points[:, 0])
+    slope = 2 * near.points
+    slope[:, 0] -= height * k * np.cos(k * near.points[:, 0])
+    expected = (second * (1 - near.normal**2)).sum(axis=1) / np.linalg.norm(slope, axis=1)
+    accuracy = 2e-9 * (k / (2 * np.pi)) ** 4
+    largest = (np.abs(second).max(axis=1) / np.linalg.norm(slope, axis=1)).max()
+    np.testing.assert_allclose(near.mean_curvature, expected, rtol=0, atol=accuracy * largest)
+
+
 def test_a_gradient_that_writes_into_its_argument_changes_no_points():
     def gradient(x):
         return np.multiply(x, 2, out=x)
