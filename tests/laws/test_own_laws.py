@@ -172,7 +172,9 @@ REST = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
         (Failing(STILL), "the velocity of the law"),
         (ec.laws.with_slip(REST, lambda at: 0 * at.x + bad(at.t)), r"the slip w\(at\)"),
         (
-            ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: 0 * x + bad(t)), "elastic"),
+            ec.laws.with_slip(
+                ec.laws.Prescribed(velocity=lambda x, t: 0 * x + bad(t)), ec.laws.Elastic(1.0)
+            ),
             r"velocity\(x, t\)",
         ),
         (ec.laws.MeanCurvature(g=lambda x, t: 2 + bad(t) + 0 * x[:, 0]), r"g\(x, t\)"),
@@ -202,7 +204,9 @@ def test_a_perturbation_that_goes_bad_does_so_too():
 
 
 def test_a_velocity_may_change_what_it_is_given_with_a_slip_as_well():
-    law = ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: x.__imul__(0.1)), "elastic")
+    law = ec.laws.with_slip(
+        ec.laws.Prescribed(velocity=lambda x, t: x.__imul__(0.1)), ec.laws.Elastic(1.0)
+    )
     *_, last = ec.evolve(SPACE, ec.Problem(law=law), 2, 0.1, 0.5)
     np.testing.assert_allclose(np.linalg.norm(last.x, axis=1), np.exp(0.05), rtol=1e-3)
 
