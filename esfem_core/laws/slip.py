@@ -53,13 +53,8 @@ __all__ = ["Elastic", "with_slip"]
 SlipName = Literal["elastic", "harmonic"]
 Slip = Callable[[Surface], Array]
 
-STABLE = (
-    1.7,
-    1.1,
-    0.8,
-    0.6,
-    0.45,
-)  # largest rate times step of p = 1, ..., 5 near a sphere, measured
+# Largest rate times step near a sphere for p = 1, ..., 5, measured.
+STABLE = (1.7, 1.1, 0.8, 0.6, 0.45)
 
 
 class Elastic:
@@ -108,7 +103,16 @@ class Elastic:
         return f"Elastic(rate={self.rate:g}, area={self.area:g})"
 
     def largest_step(self, order: int) -> float:
-        """Step from which on nodes run away on a sphere at rest, for p = order.
+        """Step from which on nodes run away on a sphere at rest; a run warns of longer ones.
+
+        Parameters
+        ----------
+        order : int
+            The order p of the BDF.
+
+        Returns
+        -------
+        float
 
         Examples
         --------
