@@ -19,6 +19,7 @@ __all__ = [
     "check_precision",
     "check_slip",
     "check_start_of_motion",
+    "innermost",
 ]
 
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
@@ -61,6 +62,20 @@ def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
             f"{x[node].tolist()} for the node p = {space.nodes[node].tolist()}; a velocity "
             f"goes into laws.Prescribed(velocity=v){NEW_TRIANGLES}"
         )
+
+
+def innermost(law: object) -> object:
+    """The law inside others, such as one at constant volume or with a slip.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> innermost(ec.laws.with_slip(ec.laws.VolumePreserving(ec.laws.Regularised()), "elastic"))
+    Regularised(alpha=1.0, beta=1.0, g=None)
+    """
+    while hasattr(law, "law"):
+        law = law.law
+    return law
 
 
 def check_precision(law: object, first: State) -> None:

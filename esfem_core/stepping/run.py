@@ -44,6 +44,7 @@ from esfem_core.stepping.agreement import (
     check_precision,
     check_slip,
     check_start_of_motion,
+    innermost,
 )
 from esfem_core.stepping.bdf import MOST_STEPS
 from esfem_core.stepping.checkpoints import close_idle, saving, space_of
@@ -475,8 +476,7 @@ def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
             "for the velocity, or a slip along the surface, needs a condition at the boundary, "
             "which no law states; laws.Prescribed(motion=X) or (velocity=v) moves it"
         )
-    while hasattr(law, "law"):  # with a slip, or at constant volume
-        law = law.law
+    law = innermost(law)
     if isinstance(law, Regularised) and law.alpha == 0 < law.beta:
         _warn_of_no_alpha(space, order)
 

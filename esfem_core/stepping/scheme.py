@@ -19,6 +19,7 @@ from esfem_core.checks import Array, real_array, shown
 from esfem_core.elements import ElementError, Surface, SurfaceSpace
 from esfem_core.laws import Part, Species, finite_nodal, positions_of, same_species
 from esfem_core.problems import Problem
+from esfem_core.stepping.agreement import innermost
 from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
@@ -332,9 +333,7 @@ def _called(name: str, part: Part) -> str:
 
 def _no_system_for_v(problem: Problem) -> str:
     """What to say of an r_v that no system of the law has taken up."""
-    law: object = problem.law
-    while hasattr(law, "law"):  # with a slip, or at constant volume
-        law = law.law
+    law = innermost(problem.law)
     names = " or ".join(map(repr, problem.law_species or ["x"]))
     return (
         "perturbation must be of what is solved for: one of 'v' is added to the system that a law "

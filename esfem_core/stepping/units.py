@@ -13,6 +13,7 @@ from esfem_core.checks import Array
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Dynamic, Regularised
 from esfem_core.problems import Problem
+from esfem_core.stepping.agreement import innermost
 from esfem_core.stepping.guard import EvolutionWarning, level_outside
 from esfem_core.stepping.state import State
 
@@ -68,9 +69,7 @@ def check_units(space: SurfaceSpace, problem: Problem, first: State, step: float
 
 def _large(problem: Problem, step: float) -> Iterator[tuple[str, float, str]]:
     """What may be too large, by name; the number s of M + s A; and what then is lost."""
-    law: object = problem.law
-    while hasattr(law, "law"):  # with a slip, or at constant volume
-        law = law.law
+    law = innermost(problem.law)
     if isinstance(law, Regularised):
         yield "alpha, a squared length,", law.alpha, "the motion of the surface as a whole"
     for name, species in problem.all_species.items():
