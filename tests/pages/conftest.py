@@ -5,9 +5,11 @@ Run by ``make check-book``, which builds the book first, and by ``make check-fir
 
 import os
 import shutil
+from functools import cache
 from pathlib import Path
 
 import pytest
+from bs4 import BeautifulSoup
 
 BROWSER = os.environ.get("BROWSER", "chromium")  # or "firefox"
 on_chromium = pytest.mark.skipif(
@@ -23,6 +25,12 @@ PAGES = sorted(
 )
 # The listings of the sources are made alike: in a browser one of them stands for all.
 SEEN = [p for p in PAGES if not p.startswith("_modules/esfem_core/") or p.endswith("errors.html")]
+
+
+@cache  # the larger pages take a second
+def soup(page):
+    """Parse a page of the book."""
+    return BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
 
 
 def pytest_generate_tests(metafunc):

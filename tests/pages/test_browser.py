@@ -1,8 +1,7 @@
 """What a reader without network sees: themes, the ledger, figures, moving pictures, print."""
 
 import pytest
-from bs4 import BeautifulSoup
-from conftest import HTML, on_chromium
+from conftest import on_chromium, soup
 
 import esfem_core as ec
 
@@ -72,15 +71,14 @@ def test_paper_shows_solutions_and_whole_lines_of_code(reader):
 
 
 def test_every_page_says_how_to_cite_the_licence_what_is_new_and_where_the_source_is(page):
-    foot = BeautifulSoup((HTML / page).read_text("utf8"), "html.parser").select(".esfem-footer a")
+    foot = soup(page).select(".esfem-footer a")
     words = " ".join(link.text for link in foot)
     for word in ("cite", "CC BY 4.0", "MIT", "new", "Source"):
         assert word in words
 
 
 def test_every_picture_has_a_caption_and_words_for_those_who_do_not_see_it(page):
-    soup = BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
-    pictures = soup.select("main .cell_output img:not(.esfem-poster)")
+    pictures = soup(page).select("main .cell_output img:not(.esfem-poster)")
     bare = [p["src"] for p in pictures if not p.find_parent("figure") or p["alt"][:2] in ("", "..")]
     assert bare == []
 

@@ -4,19 +4,18 @@ import json
 
 import pytest
 import yaml
-from bs4 import BeautifulSoup
-from conftest import HTML, ROOT
+from conftest import HTML, ROOT, soup
 
 ENTRIES = yaml.safe_load((ROOT / "book/concordance.yml").read_text("utf8"))
 
 
 @pytest.fixture(scope="module")
 def concordance():
-    return BeautifulSoup((HTML / "book/concordance.html").read_text("utf8"), "html.parser")
+    return soup("book/concordance.html")
 
 
 def test_each_entry_links_to_its_chapter_and_to_its_claims(concordance):
-    ledger = BeautifulSoup((HTML / "book/ledger.html").read_text("utf8"), "html.parser")
+    ledger = soup("book/ledger.html")
     rows = concordance.select(".esfem-concordance tbody tr")
     entries = [entry for paper in ENTRIES.values() for entry in paper]
     assert len(rows) == len(entries)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bs4 import BeautifulSoup
-from conftest import HTML, ROOT
+from conftest import HTML, ROOT, soup
 
 from esfem_core.companion import campaign
 from esfem_core.companion.claims import SIGNS, accepted, anchor, read_html
@@ -18,10 +17,6 @@ from esfem_core.companion.experiments import EXPERIMENTS
 ROWS = yaml.safe_load((ROOT / "book/claims.yml").read_text("utf8"))
 KNOWN = campaign.DATA / "verdicts.json"
 ERRATA = yaml.safe_load((ROOT / "book/errata.yml").read_text("utf8"))
-
-
-def soup(page):
-    return BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,9 @@
 """The pages ask nothing of other hosts, and every link between them leads somewhere."""
 
 import re
-from functools import cache
 from urllib.parse import unquote, urldefrag, urlsplit
 
-from bs4 import BeautifulSoup
-from conftest import HTML
+from conftest import HTML, soup
 
 LOADING = {
     *(("script", "src"), ("img", "src"), ("source", "src"), ("iframe", "src"), ("video", "src")),
@@ -13,11 +11,6 @@ LOADING = {
     *(("source", "srcset"), ("video", "poster"), ("link", "href"), ("image", "href")),
 }
 NOT_LOADED = {"canonical", "index", "search", "next", "prev", "author", "license"}  # <link rel=...>
-
-
-@cache
-def soup(page):
-    return BeautifulSoup((HTML / page).read_text("utf8"), "html.parser")
 
 
 def remote(url):

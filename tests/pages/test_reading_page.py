@@ -4,12 +4,12 @@ import re
 
 import pytest
 from bs4 import BeautifulSoup
-from conftest import HTML
+from conftest import HTML, soup
 
 
 @pytest.fixture(scope="module")
 def reading():
-    return BeautifulSoup((HTML / "book/reading_the_code.html").read_text("utf8"), "html.parser")
+    return soup("book/reading_the_code.html")
 
 
 def cells(row):
@@ -46,16 +46,16 @@ def test_an_equation_leads_to_the_line_that_names_it(reading, number):
 
 
 def test_a_chapter_leads_to_the_functions_that_it_uses_and_they_lead_back():
-    chapter = BeautifulSoup((HTML / "book/05_g_stability.html").read_text("utf8"), "html.parser")
+    chapter = soup("book/05_g_stability.html")
     name = "esfem_core.theory.multipliers.smallest_eta"
     links = [a["href"] for a in chapter.select(".esfem-from-the-package a")]
     assert f"api/theory.html#{name}" in links
-    room = BeautifulSoup((HTML / "book/api/theory.html").read_text("utf8"), "html.parser")
+    room = soup("book/api/theory.html")
     back = [a["href"] for a in room.find(id=name).find_next("dd").select("a")]
     assert "../05_g_stability.html" in back
 
 
 def test_names_that_share_a_line_of_a_docstring_stay_names():
-    room = BeautifulSoup((HTML / "book/api/theory.html").read_text("utf8"), "html.parser")
+    room = soup("book/api/theory.html")
     errors = room.find(id="esfem_core.theory.geometry.GeometricErrors").find_next("dd")
     assert {"distance, normal", "m, a, q"} <= {name.text for name in errors.select("li strong")}

@@ -10,11 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from bs4 import BeautifulSoup
-from conftest import HTML, ROOT
+from conftest import HTML, ROOT, soup
 
 FOLDER = HTML / "wheel"
-PAGE = HTML / "book" / "how_to_run.html"
 NEEDED = ("numpy", "scipy", "trimesh")
 
 
@@ -25,7 +23,7 @@ def wheel():
 
 
 def test_the_page_has_its_address_and_its_checksum(wheel):
-    page = BeautifulSoup(PAGE.read_text("utf8"), "html.parser")
+    page = soup("book/how_to_run.html")
     assert [a["href"] for a in page.find_all("a") if a.get("href", "").endswith(".whl")] == [
         f"../wheel/{wheel.name}"
     ]
