@@ -11,6 +11,7 @@ from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, finite_array, function, iterable, object_of, real_array, shown
 from esfem_core.elements import SurfaceSpace, squared_differences
+from esfem_core.laws import check_no_slip
 from esfem_core.problems import Problem
 from esfem_core.stepping import State, check_exact_surface, check_state, exact_state, same_time
 
@@ -166,8 +167,8 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     ------
     ValueError
         If the problem has no exact solution or one of another surface than that of the nodes of
-        the space, the state is not one of this space, something is not finite, or u and the exact u
-        differ in shape.
+        the space, its law lets nodes slip, which are then not where the exact ones are, the state
+        is not one of this space, something is not finite, or u and the exact u differ in shape.
 
     Examples
     --------
@@ -309,7 +310,14 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
 
 
 def _check_surface(space: SurfaceSpace, problem: Problem) -> None:
-    """Refuse a space that is not the initial surface, at the first of all states of a run."""
+    """Refuse a space that is not the initial surface, at the first of all states of a run.
+
+    And nodes that slip: they are not where the exact solution has them.
+    """
+    check_no_slip(
+        problem.law,
+        "exact nodes are those without; compare state.u with exact.u(state.x, t)",
+    )
     known = FITTING.setdefault(problem, WeakSet())
     if space not in known:
         check_exact_surface(space, problem)

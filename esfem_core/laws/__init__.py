@@ -2,7 +2,7 @@
 
 from esfem_core.laws.dynamic import Dynamic
 from esfem_core.laws.fixed import Fixed
-from esfem_core.laws.law import Law, Solve, check_law, positions_of, same_species
+from esfem_core.laws.law import Law, Solve, check_law, check_no_slip, positions_of, same_species
 from esfem_core.laws.mean_curvature import MeanCurvature
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
@@ -25,6 +25,7 @@ __all__ = [
     "VolumePreserving",
     "check_initial",
     "check_law",
+    "check_no_slip",
     "finite_nodal",
     "positions_of",
     "same_species",

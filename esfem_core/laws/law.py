@@ -80,7 +80,8 @@ class Law(Protocol):
         """Tangential velocity of the nodes against the particles of the surface, (N, 3), or None.
 
         The nodes then move with v + w. What they would carry along is corrected for in every
-        species, and `past` contains -tau w.
+        species, and `past` contains -tau w. A class of one's own that has both `position` and
+        `slip` states where nodes are and how they slip: particles then move with dX/dt - w.
         """
         return None
 
@@ -114,7 +115,7 @@ def check_law(law: Any) -> None:
 
 
 def check_no_slip(law: Any, advice: str) -> None:
-    """Refuse a law with a slip of its own where that would be lost in silence.
+    """Refuse a law with a slip of its own where that would be lost, or wrong, in silence.
 
     Examples
     --------
@@ -124,11 +125,11 @@ def check_no_slip(law: Any, advice: str) -> None:
     >>> check_no_slip(Turning(), "add the two velocities to one")
     Traceback (most recent call last):
         ...
-    ValueError: law must have no slip yet, but has one: add the two velocities to one
+    ValueError: law must have no slip, but has one: add the two velocities to one
     """
     slip = getattr(law, "slip", None)
     if slip is not None and getattr(slip, "__func__", None) is not Law.slip:
-        raise ValueError(f"law must have no slip yet, but has one: {advice}")
+        raise ValueError(f"law must have no slip, but has one: {advice}")
 
 
 def positions_of(law: Any, nodes: Array, t: float, before: tuple[float, Array]) -> Array:

@@ -175,7 +175,8 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     law : Law
         Not one with a slip, nor one that knows the positions of its nodes,
         ``Prescribed(motion=X)``. For ``Prescribed(velocity=v)`` the nodes are no longer exact, but
-        of order p.
+        of order p. Nodes that slip are not where an exact solution has them: a run starts with
+        ``start="euler"``, and of the errors that of u is ``state.u - exact.u(state.x, t)``.
     w : callable or {"elastic", "harmonic"}
         ``w(at)`` on a :class:`esfem_core.Surface`: (N, 3), the tangential velocity of the nodes
         against the particles. A normal part would move the surface. It is explicit, with the

@@ -6,7 +6,7 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
-from esfem_core.laws import Elastic, Prescribed, positions_of
+from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
@@ -23,10 +23,13 @@ __all__ = [
 ]
 
 AT_START = 1e-8  # how far, relative to the size of the surface, X(p, 0) may be from p
-LATER = 1e-6  # how far, likewise, the exact positions may be from those of a prescribed motion
+LATER = 1e-6  # how far, likewise, exact values may be from a prescribed motion, or initial ones
 SINGLE = 1e-6  # relative to the largest coordinate: single precision rounds by less
 OFF_SURFACE = 0.5  # how far, relative to h, nodes may be from the exact surface
-NEW_TRIANGLES = "; new triangles know the initial surface by remeshed(states, h, problem)"
+NEW_TRIANGLES = (
+    "; new triangles know the initial surface by remeshed(states, h, problem), and "
+    "Prescribed(velocity=v) goes on from where nodes are"
+)
 NOT_ON_IT = (
     "; SurfaceSpace(tri, degree, project) puts nodes on a surface, and new triangles know the "
     "initial one by remeshed(states, h, problem)"
@@ -187,13 +190,13 @@ def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:
 
 
 def check_exact_functions(space: SurfaceSpace, problem: Problem, first: State) -> None:
-    """Refuse exact functions of another shape than the initial values, which they stand for.
+    """Refuse exact values that are not the initial values, which they stand for.
 
     Parameters
     ----------
     space : SurfaceSpace
     problem : Problem
-        With an exact solution of all its functions.
+        With an exact solution of all its functions, for nodes that do not slip.
     first : State
         With the initial values.
 
@@ -202,12 +205,23 @@ def check_exact_functions(space: SurfaceSpace, problem: Problem, first: State) -
     ValueError
     """
     assert problem.exact is not None
+    check_no_slip(problem.law, 'exact values are those of nodes without: start="euler"')
     values = problem.exact.nodal(space.nodes, 0.0)[2]
     for name, w in first.fields.items():
         if values[name].shape != w.shape:
             raise ValueError(
                 f"exact.{name} must have the shape {w.shape} of the initial values of {name!r}, "
                 f"got {values[name].shape}"
+            )
+        if problem.all_species[name].initial is None:
+            continue  # made by the law, from the mesh
+        off = np.abs(values[name] - w)
+        if not off.max() <= LATER * np.abs(w).max():
+            node = int(np.argmax(off)) // w[0].size
+            raise ValueError(
+                f"exact.{name} must have the initial values of {name!r} at t = 0, but at the node "
+                f"{space.nodes[node].tolist()} it is {values[name][node].tolist()} and they are "
+                f'{w[node].tolist()}: start="euler" begins with these'
             )
 
 

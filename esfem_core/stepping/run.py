@@ -25,7 +25,7 @@ from esfem_core.checks import (
     whole_number,
 )
 from esfem_core.elements import SurfaceSpace
-from esfem_core.laws import Regularised
+from esfem_core.laws import Prescribed, Regularised, check_no_slip
 from esfem_core.problems import Problem
 from esfem_core.solvers import (
     MOST_THREADS,
@@ -130,12 +130,13 @@ def evolve(
         p = 1 it misses the change of the mass altogether.
     start : {"exact", "euler"} or sequence of p or more states, optional
         Starting values at 0, tau, ..., (p-1) tau. "exact": nodal values of ``problem.exact``,
-        the default if it is given with all functions. "euler": linearly implicit Euler steps,
-        extrapolated to order p, with updated mass matrices. Otherwise the states to start from, of
-        which the last p count, a step apart: the run goes on from the last one. Functions that the
-        problem does not have are left behind. From its own states it goes on as if it had not been
-        interrupted, to the last bit with direct solves and else to the tolerance of the solver;
-        :func:`esfem_core.respaced` makes states that are another step apart.
+        the default if it is given with all functions; not for nodes that slip. "euler": linearly
+        implicit Euler steps, extrapolated to order p, with updated mass matrices. Otherwise the
+        states to start from, of which the last p count, a step apart: the run goes on from the last
+        one. Functions that the problem does not have are left behind. From its own states it goes
+        on as if it had not been interrupted, to the last bit with direct solves and else to the
+        tolerance of the solver; :func:`esfem_core.respaced` makes states that are another step
+        apart.
         Exact values at (p - 1) tau also restart the spatial error there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
@@ -409,7 +410,9 @@ def _check_functions(name: str, problem: Problem, state: State) -> None:
     for key, species in problem.all_species.items():
         if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
-            raise ValueError(f"{name} must have the function {key!r}, it has {known}")
+            made = key in problem.law_species and hasattr(problem.law, "initial")
+            advice = "; law.initial(state.surface()) has those that the law makes" if made else ""
+            raise ValueError(f"{name} must have the function {key!r}, it has {known}{advice}")
         trailing = state[key].shape[1:]
         if np.ndim(species.diffusivity) == 1 and np.shape(species.diffusivity) != trailing:  # type: ignore[arg-type]
             raise ValueError(
@@ -470,6 +473,8 @@ def _check_law(space: SurfaceSpace, problem: Problem, order: int) -> None:
     law: object = problem.law
     if hasattr(law, "position"):
         check_start_of_motion(space, law)
+        if isinstance(law, Prescribed):
+            check_no_slip(law, "with_slip(Prescribed(velocity=v), w) lets the nodes go")
     elif len(space.boundary_nodes):
         raise ValueError(
             f"law must prescribe the motion of a surface with a boundary, got {law!r}: an equation "

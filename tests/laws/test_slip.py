@@ -245,6 +245,33 @@ class Turning(ec.laws.Regularised):
         return turn(at)
 
 
+def test_an_exact_solution_is_that_of_nodes_that_do_not_slip():
+    """With exact starting values the path of a node has a kink: order 2 for every p."""
+    exact = ec.Exact(
+        x=lambda p, t: p,
+        v=lambda p, t: 0 * p,
+        u=lambda x, t: np.exp(-2 * t) * x[:, 0],
+        closest=lambda x, t: ec.to_unit_sphere(x),
+        origin=lambda x, t: x,
+    )
+    rest = ec.laws.Prescribed(velocity=lambda x, t: 0 * x)
+    species = {"u": ec.Species(lambda x: x[:, 0])}
+    problem = ec.Problem(species=species, law=ec.laws.with_slip(rest, turn), exact=exact)
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 4, ec.to_unit_sphere)
+    with pytest.raises(ValueError, match=r'have no slip.*values are .* without: start="euler"'):
+        ec.evolve(space, problem, 3, 1 / 40, 0.5)
+
+    def off(step):
+        last = final(ec.evolve(space, problem, 3, step, 0.5, start="euler"))
+        with pytest.raises(ValueError, match=r"no slip.*; compare state.u with exact.u"):
+            ec.errors.compare(space, problem, last)
+        with pytest.raises(ValueError, match=r"no slip.*; compare state.u with exact.u"):
+            ec.errors.lifted(space, problem, last)
+        return abs(np.linalg.norm(last.x, axis=1) - 1).max()
+
+    assert np.log2(off(1 / 40) / off(1 / 80)) > 2.7
+
+
 def test_refused():
     law = ec.laws.Regularised()
     with pytest.raises(ValueError, match='w must be "elastic" or "harmonic", got \'smooth\''):
@@ -253,14 +280,17 @@ def test_refused():
         ec.laws.with_slip(law, 3)
     with pytest.raises(TypeError, match=r"got the class Elastic: Elastic\(\) is one"):
         ec.laws.with_slip(law, ec.laws.Elastic)
-    with pytest.raises(ValueError, match="law must have no slip yet"):
+    with pytest.raises(ValueError, match="law must have no slip, but"):
         ec.laws.with_slip(ec.laws.with_slip(law, "elastic"), turn)
-    with pytest.raises(ValueError, match="law must have no slip yet"):
+    with pytest.raises(ValueError, match="law must have no slip, but"):
         ec.laws.with_slip(Turning(), turn)
-    with pytest.raises(ValueError, match=r"no slip yet.*: it comes last, with_slip\(Vol"):
+    with pytest.raises(ValueError, match=r"no slip.*: it comes last, with_slip\(Vol"):
         ec.laws.VolumePreserving(Turning())
     with pytest.raises(ValueError, match="law must let its nodes go, but it prescribes their"):
         ec.laws.with_slip(ec.laws.Prescribed(motion=lambda p, t: p), turn)
+    own = type("Own", (ec.laws.Prescribed,), {"slip": lambda self, at: turn(at)})
+    with pytest.raises(ValueError, match=r"no slip.*: with_slip\(Prescribed\(velocity=v\), w\)"):
+        ec.evolve(COARSE, ec.Problem(law=own(velocity=lambda x, t: 0 * x)), 1, 0.1, 0.1)
     short = ec.laws.with_slip(law, lambda at: at.x[:, 0])
     with pytest.raises(ValueError, match=r"w\(at\) must have shape \(642, 3\), got \(642,\)"):
         final(ec.evolve(COARSE, ec.Problem(law=short), 1, 0.1, 0.1))

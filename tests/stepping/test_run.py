@@ -219,6 +219,27 @@ def test_exact_starting_values_have_the_shape_of_the_initial_ones():
     next(ec.evolve(SPACE, problem, 2, 0.1, 0.5, start="euler"))
 
 
+def test_exact_starting_values_are_the_initial_ones():
+    """Those of ``Species(initial)`` would otherwise be dropped in silence."""
+    known = ec.problems.expanding_sphere()
+    species = {"u": ec.Species(5.0, known.species["u"].source)}
+    problem = ec.Problem(species=species, law=known.law, exact=known.exact)
+    with pytest.raises(ValueError, match=r'exact.u must have the initial values .*start="euler"'):
+        ec.evolve(SPACE, problem, 2, 0.1, 0.5)
+    first = next(iter(ec.evolve(SPACE, problem, 2, 0.1, 0.5, start="euler")))
+    np.testing.assert_array_equal(first.u, 5.0)
+
+
+def test_the_functions_of_another_law_can_be_made_from_a_state():
+    last = final(ec.evolve(SPACE, ec.Problem(1.0), 1, 0.1, 0.1))
+    flow = ec.Problem(1.0, law=ec.laws.MeanCurvature())
+    with pytest.raises(ValueError, match=r"'normal', .* law.initial\(state.surface\(\)\) has"):
+        ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=[last])
+    fields = last.fields | flow.law.initial(last.surface())
+    start = dataclasses.replace(last, fields=fields)
+    assert final(ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=[start])).t == 0.2
+
+
 @pytest.mark.parametrize("p", [2, 3, 4, 5])
 def test_euler_start_has_order_p(p):
     """Against many small steps on the same mesh, since the spatial error would hide it.
