@@ -98,7 +98,7 @@ class MeanCurvature(ReadOnly, Law):
     g: Callable[..., ArrayLike] | None = None
     normal: Initial | None = None
     curvature: Initial | None = None
-    forcing: Callable[[Surface], Array | None] = field(init=False, repr=False)
+    _known: Callable[[Surface], Array | None] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "beta", number("beta", self.beta, above=0))
@@ -111,7 +111,7 @@ class MeanCurvature(ReadOnly, Law):
                 if not own.size:
                     raise ValueError(f"{name} must hold a value for each node, got none")
                 object.__setattr__(self, name, frozen(own))
-        object.__setattr__(self, "forcing", Once(self._forcing))
+        object.__setattr__(self, "_known", Once(self._forcing))
 
     @property
     def species(self) -> Mapping[str, Species]:
@@ -155,6 +155,10 @@ class MeanCurvature(ReadOnly, Law):
         v: Array = speed[:, None] * new["normal"]
         return v
 
+    def forcing(self, at: Surface) -> Array | None:
+        """Nodal values of g, computed once for each surface; None if g is zero."""
+        return self._known(at)
+
     def _normal_source(self, at: Surface) -> Array:
         """Beta |A|^2 nu - grad g."""
         values = self.beta * _squared_weingarten(at)[..., None] * at["normal"]
@@ -172,7 +176,6 @@ class MeanCurvature(ReadOnly, Law):
         return values, at.space.gradient(at.x, g)
 
     def _forcing(self, at: Surface) -> Array | None:
-        """Nodal values of g."""
         if self.g is None:
             return None
         if _takes_points(self.g):
@@ -248,7 +251,7 @@ def _squared_weingarten(at: Surface) -> Array:
 def _takes_points(g: Callable[..., Any]) -> bool:
     """Whether g is called with (x, t) and not with a surface."""
     try:
-        parameters = signature(g).parameters.values()
+        parameters = list(signature(g).parameters.values())
     except ValueError:  # some builtins do not tell
         return False
     kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
@@ -258,4 +261,7 @@ def _takes_points(g: Callable[..., Any]) -> bool:
             "g must be g(at) or g(x, t), with one or two arguments without defaults, got "
             f"{needed or 'none'}"
         )
+    taken = [p.name for p in parameters if p.kind in kinds]
+    if needed == 1 and taken[1:2] == ["t"]:
+        raise ValueError("g must be g(x, t) without a default for t, or g(at), which has at.t")
     return needed == 2

@@ -21,6 +21,7 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, shown
 from esfem_core.elements import Surface
@@ -100,10 +101,17 @@ class VolumePreserving(Law):
         if isinstance(self.law, MeanCurvature):
             first, second = self.law.velocity(at, new, tau, past, solve), new["normal"]
         else:
-            both = self.law.velocity(
-                at, new, tau, past, lambda K, b: solve(K, np.hstack([b, flux]))
-            )
-            first, second = both[:, :3], both[:, 3:]
+            answers: list[Array] = []
+
+            def with_pressure(K: csr_array, b: Array) -> Array:
+                if answers:  # what a class of one's own solves beside
+                    return solve(K, b)
+                both = solve(K, np.hstack([b, flux]))
+                answers.append(both[:, 3:])
+                return both[:, :3]
+
+            first = self.law.velocity(at, new, tau, past, with_pressure)
+            (second,) = answers
         v: Array = first - np.vdot(flux, first) / np.vdot(flux, second) * second
         return v
 

@@ -339,11 +339,24 @@ def test_a_speed_that_is_a_number_holds_at_all_points():
             final(ec.evolve(space, problem, 1, 0.01, 0.02))
 
 
+def test_a_law_of_ones_own_may_have_another_forcing():
+    class Pushed(ec.laws.MeanCurvature):
+        def forcing(self, at):
+            return np.full(len(at.x), 2.0)
+
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    for law in (Pushed(), ec.laws.VolumePreserving(Pushed())):
+        last = final(ec.evolve(space, ec.Problem(law=law), 2, 0.01, 0.1))
+        np.testing.assert_allclose(np.linalg.norm(last.x, axis=1), 1, atol=2e-3)
+
+
 def test_arguments_without_defaults_tell_functions_of_points_from_those_of_a_surface():
     for wrong, found in ((lambda *given: 0.0, "none"), (lambda x, t, u: 0.0, "3")):
         message = rf"g must be g\(at\) or g\(x, t\), .* without defaults, got {found}"
         with pytest.raises(ValueError, match=message):
             ec.laws.MeanCurvature(g=wrong)
+    with pytest.raises(ValueError, match="without a default for t"):
+        ec.laws.MeanCurvature(g=lambda x, t=0.0: 2 + np.sin(t))
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1, ec.to_unit_sphere)
     at = ec.Surface(space, space.nodes, {}, 2.0)
     scaled = partial(lambda x, t, scale: scale * t * np.ones(len(x)), scale=3.0)

@@ -137,6 +137,18 @@ def test_what_a_law_of_ones_own_overrides_stays_overridden():
     np.testing.assert_allclose(states(Filling())[-1]["q"], 1.2, rtol=1e-12)
 
 
+@pytest.mark.parametrize("g", [0.0, 0.5, 2.0])
+def test_a_uniform_force_does_not_matter_whatever_a_law_of_ones_own_adds(g):
+    class Wind(ec.laws.Regularised):
+        def velocity(self, at, new, tau, past, solve):
+            return super().velocity(at, new, tau, past, solve) + np.array([0.3, 0.0, 0.0])
+
+    law = ec.laws.VolumePreserving(Wind(0.1, 0.0, lambda at: g))
+    sphere = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    last = final(ec.evolve(sphere, ec.Problem(law=law), 2, 0.02, 0.2))
+    np.testing.assert_allclose(last.x, sphere.nodes + np.array([0.06, 0, 0]), atol=1e-8)
+
+
 def test_one_factorisation_serves_both_parts():
     statistics = ec.Statistics()
     problem = ec.Problem(law=ec.laws.VolumePreserving(LAWS["regularised"]))
