@@ -39,6 +39,7 @@ from esfem_core.surfaces.text_files import (
     solids,
     utf_8,
 )
+from esfem_core.surfaces.unread import KINDS, passed_over
 
 __all__ = ["Elements", "curved_elements", "read_mesh"]
 
@@ -127,7 +128,9 @@ def read_mesh(
         If there is no such file, or a package that reads it is missing.
     TypeError, ValueError
         If the source is none of these, cannot be read, holds no triangles, has coordinates beyond
-        1e75, or is less than 1e-70 across; if it is a scene whose parts have different units; if
+        1e75, or is less than 1e-70 across; if it is a file with parts that its reader would lose or
+        put in wrong places, such as pieces of VTU, zones of Tecplot, parts of Abaqus and points of
+        Nastran in systems of coordinates; if it is a scene whose parts have different units; if
         `unit` is given, but unknown or the source has none.
 
     Examples
@@ -323,6 +326,12 @@ def _of_file(path: Path) -> Elements:
     kind = path.suffix.lower().lstrip(".")
     if kind not in (*BY_TRIMESH, *BY_MESHIO):
         raise ValueError(_unknown(path, kind))
+    if kind in KINDS and (lost := passed_over(kind, path.read_bytes())):
+        raise ValueError(
+            f"{path.name} has {lost!r}: parts of its surface would be lost, or stand in wrong "
+            "places; write it as one part in one system of coordinates, or as PLY, STL or OBJ, of "
+            "triangles only, with the program that made it"
+        )
     said = io.StringIO()
     try:
         if kind == "off":
