@@ -1,10 +1,13 @@
-"""What files may hold that meshio passes over, so that the surface is another one.
+"""What files may hold that trimesh and meshio pass over, so that the surface is another one.
 
 Of parts some are lost or stand in wrong places, and nothing tells of it: such files are refused.
 """
 
+import json
 import re
 from collections import Counter
+from importlib.util import find_spec
+from typing import Any
 
 __all__ = ["KINDS", "passed_over"]
 
@@ -36,12 +39,19 @@ NEVER = {  # what makes or moves points and cells, and what brings them from ano
     ),
     "nas": NASTRAN,
 }
-KINDS = {*ONCE, *NEVER}
+KINDS = {*ONCE, *NEVER, "glb", "gltf"}
 """Suffixes of the files that are looked at."""
+
+DRACO = "KHR_draco_mesh_compression"
 
 
 def passed_over(kind: str, data: bytes) -> str | None:
     r"""What a file of this kind holds that its reader would pass over, or None.
+
+    Raises
+    ------
+    ImportError
+        If a package that reads it is missing, and zeros would be read without it.
 
     Examples
     --------
@@ -52,6 +62,8 @@ def passed_over(kind: str, data: bytes) -> str | None:
     >>> passed_over("su2", b"NPOIN= 4\n") is None
     True
     """
+    if kind in ("glb", "gltf"):
+        return _of_gltf(kind, data)
     words = re.findall(ONCE[kind], data, re.I | re.M) if kind in ONCE else []
     counts = Counter(word.strip().decode("utf-8", "replace").upper() for word in words)
     for word, count in counts.items():
@@ -59,3 +71,40 @@ def passed_over(kind: str, data: bytes) -> str | None:
             return f"{count} times {word}"
     line = re.search(NEVER[kind], data, re.I | re.M) if kind in NEVER else None
     return None if line is None else " ".join(line[0].decode("utf-8", "replace").split())
+
+
+def _of_gltf(kind: str, data: bytes) -> str | None:
+    """The same for glTF, by its JSON; what is wrong with that, its reader says."""
+    binary = data.startswith(b"glTF")
+    text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if binary else data
+    try:
+        tree = json.loads(text)
+        required = tree.get("extensionsRequired", [])
+        found = [name for name in required if "compression" in name and name != DRACO]
+        found += {"EXT_mesh_gpu_instancing"} & set(tree.get("extensionsUsed", []))
+        found += [what for mesh in tree.get("meshes", []) for what in _of_mesh(tree, mesh)]
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return None
+    if DRACO in required and find_spec("DracoPy") is None:
+        raise ImportError(
+            f"files .{kind} compressed with Draco need another package: pip install DracoPy",
+            name="DracoPy",
+        )
+    return next(iter(found), None)
+
+
+def _of_mesh(tree: dict[str, Any], mesh: dict[str, Any]) -> list[str]:
+    """The same for one mesh of glTF: kinds of triangles, positions and corners."""
+    found = []
+    for part in mesh["primitives"]:
+        mode = part.get("mode", 4)
+        if mode == 6:
+            found.append("triangle fans (mode 6)")
+        if mode in (4, 5):  # of lines and points nothing is taken
+            positions = tree["accessors"][part["attributes"]["POSITION"]]
+            corners = tree["accessors"][part["indices"]] if "indices" in part else {}
+            if "sparse" in positions or "sparse" in corners:
+                found.append("a sparse accessor")
+            if positions.get("normalized"):
+                found.append("normalized positions")
+    return found

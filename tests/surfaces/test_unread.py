@@ -1,5 +1,10 @@
 """Files with parts that their readers would lose, or put in wrong places, are refused."""
 
+import json
+import struct
+import sys
+from base64 import b64encode
+
 import meshio
 import numpy as np
 import pytest
@@ -155,3 +160,90 @@ def test_parts_of_other_formats_are_counted():
         data = f"{word}\n1 0. 0. 0.\n".encode()
         assert passed_over(kind, data) is None
         assert passed_over(kind, 2 * data) == f"2 times {word.upper().partition(' NSET')[0]}"
+
+
+def gltf(folder, primitives, arrays=(), **more):
+    """A file with SMALL as arrays 0 and 1, and further arrays as 2, 3, ..."""
+    arrays = [np.asarray(SMALL.vertices, "<f4"), np.asarray(SMALL.faces, "<u4"), *arrays]
+    kinds = {"float32": 5126, "uint32": 5125, "int16": 5122}
+    tree = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": primitives}],
+        "bufferViews": [{"buffer": i, "byteLength": a.nbytes} for i, a in enumerate(arrays)],
+        "buffers": [
+            {
+                "byteLength": a.nbytes,
+                "uri": f"data:application/octet-stream;base64,{b64encode(a.tobytes()).decode()}",
+            }
+            for a in arrays
+        ],
+        "accessors": [
+            {
+                "bufferView": i,
+                "componentType": kinds[a.dtype.name],
+                "count": len(a) if a.dtype.kind == "f" or a.dtype.itemsize == 2 else a.size,
+                "type": "SCALAR" if a.dtype.kind == "u" else "VEC3",
+            }
+            for i, a in enumerate(arrays)
+        ],
+        **more,
+    }
+    for accessor, words in tree.pop("changes", {}).items():
+        tree["accessors"][accessor] |= words
+    path = folder / "a.gltf"
+    path.write_text(json.dumps(tree))
+    binary = json.dumps(tree).encode()
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(binary), len(binary), 0x4E4F534A)
+    path.with_suffix(".glb").write_bytes(head + binary)
+    return path, path.with_suffix(".glb")
+
+
+PLAIN = {"attributes": {"POSITION": 0}, "indices": 1}
+FAN = {"attributes": {"POSITION": 0}, "indices": 2, "mode": 6}
+SPARSE = {"sparse": {"count": 1, "indices": {"bufferView": 1}, "values": {"bufferView": 0}}}
+
+
+@pytest.mark.parametrize(
+    ("primitives", "more", "found"),
+    [
+        ([PLAIN], {"changes": {0: SPARSE}}, "a sparse accessor"),
+        ([PLAIN], {"changes": {1: SPARSE}}, "a sparse accessor"),
+        ([PLAIN], {"changes": {0: {"normalized": True}}}, "normalized positions"),
+        ([PLAIN, FAN], {}, r"triangle fans \(mode 6\)"),
+        ([PLAIN], {"extensionsRequired": ["EXT_meshopt_compression"]}, "EXT_meshopt_compression"),
+        ([PLAIN], {"extensionsUsed": ["EXT_mesh_gpu_instancing"]}, "EXT_mesh_gpu_instancing"),
+    ],
+)
+def test_what_trimesh_passes_over_in_gltf_is_refused(tmp_path, primitives, more, found):
+    for path in gltf(tmp_path, primitives, [np.arange(4, dtype="<u4")], **more):
+        with pytest.raises(ValueError, match=f"{path.name} has .{found}.*wrong places; write it"):
+            ec.read_mesh(path, report=None)
+
+
+def test_plain_triangles_and_strips_of_gltf_are_read(tmp_path):
+    """Whatever stands beside them: lines, materials, a mesh that trimesh itself refuses."""
+    strip = np.array([0, 1, 2, 3, 0, 1], dtype="<u4")
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1]], dtype="<f4")
+    band = {"attributes": {"POSITION": 3}, "indices": 2, "mode": 5}
+    lines = {"attributes": {"POSITION": 4}, "mode": 1}
+    more = {"extensionsRequired": ["KHR_texture_transform"], "changes": {4: {"normalized": True}}}
+    arrays = [strip, corners, np.eye(3, dtype="<i2")]
+    for path in gltf(tmp_path, [PLAIN, band, lines], arrays, **more):
+        tri = ec.read_mesh(path, report=None)
+        assert tri.volume == pytest.approx(SMALL.volume + 1 / 6, rel=1e-6)
+    (tmp_path / "bad.gltf").write_text("[1]")
+    with pytest.raises(ValueError, match=r"bad\.gltf cannot be read as \.gltf"):
+        ec.read_mesh(tmp_path / "bad.gltf")
+
+
+def test_what_reads_compressed_meshes_is_named_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    for path in gltf(tmp_path, [PLAIN], extensionsRequired=["KHR_draco_mesh_compression"]):
+        with pytest.raises(ImportError, match=r"pip install DracoPy$") as found:
+            ec.read_mesh(path)
+        assert found.value.name == "DracoPy"
+    (path, _) = gltf(tmp_path, [PLAIN], extensionsUsed=["KHR_draco_mesh_compression"])
+    assert ec.read_mesh(path, report=None).volume == pytest.approx(SMALL.volume, rel=1e-6)
