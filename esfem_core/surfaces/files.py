@@ -45,7 +45,7 @@ __all__ = ["Elements", "curved_elements", "read_mesh"]
 
 BY_TRIMESH = (
     *("stl", "stl_ascii", "ply", "obj", "off", "glb", "gltf", "3mf", "dae", "zae", "xaml"),
-    *("3dxml", "ctm", "step", "stp", "zip"),
+    *("3dxml", "ctm", "step", "stp"),
 )
 BY_MESHIO = (
     *("avs", "bdf", "cgns", "dat", "dato", "e", "ele", "ex2", "exo", "f3grid", "fem", "h5m", "hmf"),
@@ -399,7 +399,7 @@ def _ending(path: str, mode: str = "r") -> Any:
 
 
 def _unknown(path: Path, kind: str) -> str:
-    if kind in ("gz", "bz2", "xz"):
+    if kind in ("gz", "bz2", "xz", "zip"):
         return f"{path.name} is packed: unpack it first"
     if kind == "npz":
         return f"{path.name} is no mesh: ec.load({str(path)!r}) reads what ec.save has written"
