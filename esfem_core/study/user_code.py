@@ -76,7 +76,8 @@ def code_of(function: Callable[..., Any]) -> str:
 
     For a user's function, other functions and classes of the user that it reaches count, and the
     values of the names that it uses: numbers, strings, arrays, sparse matrices, containers of
-    them, laws, problems, spaces, triangulations, and other objects. Those of the user's classes
+    them, laws, problems, spaces, triangulations with their units, attributes and colours, and other
+    objects. Those of the user's classes
     and of other packages count by what pickle would keep of them. What it cannot keep counts by its
     attributes, or, if it has none, by its class if that is Python's own, such as a lock; of other
     packages it is another one at each look, so that no result that it may have changed is taken for
@@ -168,10 +169,26 @@ def _told(value: Any) -> Told:
     if isinstance(value, SurfaceSpace):
         return "", [kind, value.nodes, value.cells, value.rule]
     if isinstance(value, trimesh.Trimesh):
-        return "", [kind, np.array(value.vertices), np.array(value.faces)]
+        return "", [kind, *_told_of_mesh(value)]
     if _is_library(_module_of(kind)):
         return _told_of_library(value)
     return "", [kind, _made_of(value) if _head(_module_of(kind)) == PACKAGE.name else _kept(value)]
+
+
+def _told_of_mesh(mesh: trimesh.Trimesh) -> list[Any]:
+    """Vertices, triangles, and what else a mesh was given, without what trimesh computes of it."""
+    plain = (np.ndarray, trimesh.Trimesh)  # of trimesh's own attributes the others are caches
+    given = {
+        name: part
+        for name, part in vars(mesh).items()
+        if isinstance(part, plain) or _head(_module_of(type(part))) != "trimesh"
+    }
+    metadata = {name: part for name, part in mesh.metadata.items() if name != "file_path"}
+    given |= {"metadata": metadata}
+    # density and center_mass, where they are set
+    data = {name: np.array(part) for name, part in mesh._data.data.items()}
+    colours = getattr(mesh.visual, f"{mesh.visual.kind}_colors", None)
+    return [np.array(mesh.vertices), np.array(mesh.faces), data, given, colours]
 
 
 def _told_of_array(value: Any) -> Told:

@@ -648,6 +648,36 @@ def test_a_function_of_the_package_is_read_from_its_file():
     assert code_of(bdf.delta) == code_hash(bdf.delta)
 
 
+def shaded(tri):
+    tri.visual.vertex_colors = np.full((len(tri.vertices), 4), 7, dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tri: setattr(tri, "units", "millimeters"),
+        lambda tri: tri.metadata.update(length=7),
+        lambda tri: tri.vertex_attributes["u0"].__setitem__(3, 5.0),
+        lambda tri: tri.face_attributes.update(part=np.arange(len(tri.faces))),
+        lambda tri: setattr(tri, "density", 3.0),
+        lambda tri: setattr(tri, "center_mass", [0, 0, 1]),
+        lambda tri: setattr(tri, "start", 2 * tri.vertices),
+        lambda tri: setattr(tri, "other", ec.sphere("octahedron", 0)),
+        shaded,
+    ],
+)
+def test_what_a_mesh_was_given_counts_and_where_its_file_stood_does_not(change):
+    """Units and attributes could be changed, and the rows of before were taken for today's."""
+    tri = ec.sphere("octahedron", 1)
+    tri.units, tri.vertex_attributes["u0"] = "meters", np.ones(18)
+    before = code_of(lambda: tri)
+    assert tri.volume, tri.visual.vertex_colors  # caches
+    tri.metadata["file_path"] = "/home/of/another/sphere.ply"
+    assert code_of(lambda: tri) == before
+    change(tri)
+    assert code_of(lambda: tri) != before
+
+
 def module(path, text, monkeypatch):
     """A module in a file, imported."""
     path.write_text(text)
