@@ -75,15 +75,15 @@ def code_of(function: Callable[..., Any]) -> str:
     """Hash of the code that decides what a function returns, of this package or of a user.
 
     For a user's function, other functions and classes of the user that it reaches count, and the
-    values of the names that it uses: numbers, strings, arrays, sparse matrices, containers of
-    them, laws, problems, spaces, triangulations with their units, attributes and colours, and other
-    objects. Those of the user's classes
-    and of other packages count by what pickle would keep of them. What it cannot keep counts by its
-    attributes, or, if it has none, by its class if that is Python's own, such as a lock; of other
-    packages it is another one at each look, so that no result that it may have changed is taken for
-    that of today. Objects of this package count by what their constructor took, if they keep all of
-    it, or else by their public attributes, or by all if none is. Modules count as far as they are
-    used, compiled ones by their files, and those of other packages by their names.
+    values of the names that it uses: numbers, strings, arrays, sparse matrices, containers of them,
+    laws, problems, spaces, triangulations with their units, attributes and colours, and other
+    objects. Those of the user's classes and of other packages count by what pickle would keep of
+    them. What it cannot keep counts by its attributes, or, if it has none, by its class if that is
+    Python's own, such as a lock; of other packages it is another one at each look, so that no
+    result that it may have changed is taken for that of today. Objects of this package count by
+    what their constructor took, if they keep all of it, or else by their public attributes, or by
+    all if none is. Modules count as far as they are used, compiled ones by their files, and those
+    of other packages by their names.
 
     Examples
     --------
@@ -247,7 +247,13 @@ def _told_of_module(module: ModuleType) -> Told:
         return f"{name} {dependencies.hash_of_all(name)}", []
     if _is_library(name):
         return name, []
-    return "", [{key: v for key, v in vars(module).items() if not key.startswith("_")}]
+    own = {name: part for name, part in vars(module).items() if not _is_dunder(name)}
+    return "", [own]
+
+
+def _is_dunder(name: str) -> bool:
+    """Whether a name of a module is one of Python's own."""
+    return name.startswith("__") and name.endswith("__")
 
 
 def _compiled(value: Any) -> str:

@@ -3,6 +3,7 @@
 import functools
 import importlib
 import linecache
+import logging
 import operator
 import os
 import random
@@ -466,6 +467,18 @@ def test_modules_of_the_user_count_where_they_are_used(line, monkeypatch):
     for value in (1, 1, 2):
         exec(f"def helper(value={value}): return value", helpers.__dict__)
         codes.append(code_of(compute(source)))
+    assert codes[0] == codes[1] != codes[2]
+
+
+def test_names_that_begin_with_an_underscore_count_in_a_module_that_is_handed_on(monkeypatch):
+    helpers = types.ModuleType("helpers")
+    monkeypatch.setitem(sys.modules, "helpers", helpers)
+    function = compute("import helpers as MODULE\ndef compute():\n    return vars(MODULE)\n")
+    helpers._log, helpers._lock = logging.getLogger("helpers"), Lock()
+    codes = []
+    for helpers._factor in (2, 2, 100):
+        helpers.__cached__ = object()
+        codes.append(code_of(function))
     assert codes[0] == codes[1] != codes[2]
 
 
