@@ -145,9 +145,10 @@ def _append(path: Path, data: bytes) -> None:
 
 def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
     """Columns and their entries: numbers of Python, which csv writes with all digits, and text."""
-    for name, value in row.items():
+    for key, value in row.items():
+        name = _name(key)
         if isinstance(value, Mapping):
-            yield from _cells(called, {f"{name}_{key}": entry for key, entry in value.items()})
+            yield from _cells(called, {f"{name}_{_name(of)}": entry for of, entry in value.items()})
         elif np.ma.isMaskedArray(value):
             raise TypeError(
                 f"{called} must hold numbers, but {name!r} is masked: its holes have none"
@@ -160,16 +161,24 @@ def _cells(called: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
             yield name, _cell(called, name, value)
 
 
+def _name(key: Any) -> str:
+    """A name in a column; of a member of an Enum that is text, that text."""
+    return str.__str__(key) if isinstance(key, str) else str(key)
+
+
 def _cell(called: str, name: str, value: Any) -> Any:
     """An entry as csv writes it with all its digits."""
     dated = isinstance(value, np.generic | np.ndarray) and value.dtype.kind in "mM"
     # A date of NumPy is no number, but may become one.
     entry = value.item() if isinstance(value, np.generic | np.ndarray) and not dated else value
+    for kind in (int, float):
+        if isinstance(entry, kind) and not isinstance(entry, bool):
+            return kind(entry)  # of an Enum not its name
     if dated or not isinstance(entry, Real | str | None):
         raise TypeError(
             f"{called} must hold real numbers, text or None, but {name!r} is {shown(value)}"
         )
-    if not isinstance(entry, Real) or isinstance(entry, Integral | float | np.floating):
+    if not isinstance(entry, Real) or isinstance(entry, Integral | np.floating):
         return entry
     try:
         found = float(entry)  # programs take 1/3 for text or a date

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from enum import Enum
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -306,6 +307,21 @@ def test_rows_are_read_back_with_all_digits(tmp_path):
         assert [float(line[f"centre_{i}"]) for i in range(3)] == row.centre.tolist()
         assert float(line["amounts_u"]) == row.amounts["u"]
         assert line["missing"] == ""
+
+
+def test_members_of_an_enum_are_written_as_what_they_are(tmp_path):
+    class Mass(str, Enum):  # noqa: UP042
+        NEW = "new"
+
+    class Order(int, Enum):
+        TWO = 2
+
+    class Step(float, Enum):
+        TENTH = 0.1
+
+    row = {Mass.NEW: Mass.NEW, "n": Order.TWO, "steps": [Step.TENTH], "by": {Mass.NEW: True}}
+    ec.save_table(tmp_path / "a.csv", [row])
+    assert (tmp_path / "a.csv").read_text() == "new,n,steps_0,by_new\nnew,2,0.1,True\n"
 
 
 def test_a_table_is_complete_after_each_row_and_refuses_other_columns(tmp_path):
