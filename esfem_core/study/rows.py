@@ -130,7 +130,7 @@ def plain(name: str, value: Any, *, arrays: bool = True) -> Any:
         value = value._asdict()
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return {
-            str(key): plain(f"{name}[{key!r}]", entry, arrays=arrays)
+            str.__str__(key): plain(f"{name}[{key!r}]", entry, arrays=arrays)
             for key, entry in value.items()
         }
     if isinstance(value, list | tuple):

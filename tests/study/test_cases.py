@@ -181,11 +181,14 @@ def test_a_member_of_an_enum_of_texts_is_its_text(tmp_path):
     class Colour(str, Enum):  # noqa: UP042
         RED = "red"
 
-    results, _ = study(tmp_path, [{"colour": Colour.RED}], lambda colour: {"is": colour}, name="n")
-    assert (results.rows[0].parameters, results.rows[0].results) == (
-        {"colour": "red"},
-        {"is": "red"},
-    )
+    def compute(colour, red):
+        return {"is": colour, "by": {Colour.RED: red}}
+
+    results, _ = study(tmp_path, [{"colour": Colour.RED, Colour.RED: 3}], compute)
+    row = results.rows[0]
+    assert row.parameters == {"colour": "red", "red": 3}
+    assert row.results == {"is": "red", "by": {"red": 3}}
+    assert [*map(type, row.parameters), *map(type, row.results["by"])] == 3 * [str]
 
 
 def test_results_that_json_cannot_hold_are_refused_by_name_and_the_others_kept(tmp_path):
