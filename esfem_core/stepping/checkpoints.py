@@ -93,8 +93,8 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
 
     Raises
     ------
-    FileNotFoundError, PermissionError
-        If there is no such file, or it may not be read.
+    OSError
+        If there is no such file, or the system cannot read it: too many are open, or it may not be.
     ValueError
         If the file is damaged or another one, or of a later version.
 
@@ -111,12 +111,13 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
     path = path_of("path", path, "a file")
     if not path.is_file():
         raise FileNotFoundError(f"path must be a file, but there is no file {str(path)!r}")
+    data = path.read_bytes()  # what the system refuses here says nothing about the file
     try:
-        header, arrays = _read(path)
+        header, arrays = _read(data)
         if header["kind"] != KIND:
             raise ValueError(f"it holds {shown(header['kind'])}")
         version = header["version"]
-    except (PermissionError, MemoryError):  # neither says anything about the file
+    except MemoryError:
         raise
     except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise anything
         raise ValueError(
@@ -266,9 +267,9 @@ def _write(path: Path, space: SurfaceSpace, states: Sequence[State]) -> None:
     write_whole(path, buffer.getvalue())
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def _read(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and arrays, each read to its end and its checksum."""
-    with zipfile.ZipFile(path) as file:
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
         members = {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
     arrays = {name: _array(name, data) for name, data in members.items()}
     header = json.loads(str(arrays.pop("header")))

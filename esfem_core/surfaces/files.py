@@ -6,6 +6,7 @@ curved ones for :meth:`esfem_core.SurfaceSpace.read`.
 """
 
 import contextlib
+import errno
 import io
 import itertools
 import os
@@ -126,6 +127,8 @@ def read_mesh(
     ------
     FileNotFoundError, ImportError
         If there is no such file, or a package that reads it is missing.
+    OSError, MemoryError
+        If the system cannot read it: too many are open, it may not be, or there is no room.
     TypeError, ValueError
         If the source is none of these, cannot be read, holds no triangles, has coordinates beyond
         1e75, or is less than 1e-70 across; if it is a file with parts that its reader would lose or
@@ -359,6 +362,8 @@ def _of_file(path: Path) -> Elements:
             f"files .{kind} need another package: pip install {name or error}", name=name
         ) from error
     except (Exception, SystemExit) as error:  # meshio leaves Python where it cannot read
+        if _is_of_system(error):
+            raise
         reason = " ".join(said.getvalue().split()) or f"{type(error).__name__}: {error}"
         raise ValueError(
             f"{path.name} cannot be read as .{kind} ({reason}); {_other_ways(path)}"
@@ -366,6 +371,13 @@ def _of_file(path: Path) -> Elements:
     if found.unit is None and kind in ("glb", "gltf"):
         found = found._replace(unit="meters")  # by the standard
     return found
+
+
+def _is_of_system(error: BaseException) -> bool:
+    """Whether an error says nothing about a file, such as that too many are open."""
+    if isinstance(error, OSError):  # damaged files name others, and places before their beginning
+        return error.errno not in (None, errno.ENOENT, errno.EINVAL)
+    return isinstance(error, MemoryError)
 
 
 @contextlib.contextmanager

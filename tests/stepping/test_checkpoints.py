@@ -353,16 +353,24 @@ def test_a_file_cut_short_or_of_another_kind_is_refused_by_name(tmp_path):
         ec.load(tmp_path / "other.npz")
 
 
-@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), MemoryError()])
-def test_a_file_that_may_not_be_read_or_has_no_room_in_memory_is_not_called_damaged(
-    tmp_path, monkeypatch, error
+@pytest.mark.parametrize(
+    ("error", "where"),
+    [
+        (PermissionError(13, "Permission denied"), "pathlib.Path.read_bytes"),
+        (OSError(24, "Too many open files"), "pathlib.Path.read_bytes"),
+        (OSError(5, "Input/output error"), "pathlib.Path.read_bytes"),
+        (MemoryError(), "zipfile.ZipFile.__init__"),
+    ],
+)
+def test_a_file_that_the_system_cannot_read_is_not_called_damaged(
+    tmp_path, monkeypatch, error, where
 ):
     path, _ = saved(tmp_path)
 
     def refuse(*_):
         raise error
 
-    monkeypatch.setattr("zipfile.ZipFile.__init__", refuse)
+    monkeypatch.setattr(where, refuse)
     with pytest.raises(type(error)) as caught:
         ec.load(path)
     assert caught.value is error

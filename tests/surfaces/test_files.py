@@ -313,6 +313,31 @@ def test_meshio_is_named_for_all_that_it_reads_and_nothing_else():
     assert theirs - ours == {".svg", ".wkt"}
 
 
+@pytest.mark.parametrize("kind", ["off", "stl", "glb", "obj", "vtk", "vtu", "inp"])
+@pytest.mark.parametrize(
+    "error", [OSError(24, "Too many open files"), PermissionError(13, "no"), MemoryError()]
+)
+def test_what_the_system_cannot_do_says_nothing_about_a_file(folder, monkeypatch, kind, error):
+    path = written(folder, f"sphere.{kind}")
+
+    def refuse(*_, **__):
+        raise error
+
+    for place in ("pathlib.Path.read_bytes", "trimesh.load", "meshio.read"):
+        monkeypatch.setattr(place, refuse)
+    with pytest.raises(type(error)) as caught:
+        read(path)
+    assert caught.value is error
+
+
+def test_a_file_that_belongs_to_one_and_is_missing_is_named_with_it(folder):
+    (folder / "a.gltf").write_text(
+        '{"asset": {"version": "2.0"}, "buffers": [{"byteLength": 4, "uri": "a.bin"}]}'
+    )
+    with pytest.raises(ValueError, match=r"a\.gltf cannot be read as \.gltf \(.*a\.bin"):
+        read(folder / "a.gltf")
+
+
 def test_a_missing_reader_is_named(folder, monkeypatch):
     path = written(folder, "sphere.vtk")
     monkeypatch.setitem(__import__("sys").modules, "meshio", None)
