@@ -146,7 +146,8 @@ def solids(data: bytes) -> list[Array] | None:
     r"""Corners of the triangles of each solid of an STL file, (T, 3, 3), or None if it is no text.
 
     Of several solids trimesh merges vertices within 1e-8, however small they are, and leaves out
-    the last one if the file was cut off.
+    the last one if the file was cut off. A file that is no text and has another length than its
+    number of triangles takes is refused: trimesh looks for text in it.
 
     Examples
     --------
@@ -154,9 +155,15 @@ def solids(data: bytes) -> list[Array] | None:
     >>> [len(solid) for solid in solids(2 * (b"solid a\n" + facet + b"endsolid a\n"))]
     [1, 1]
     """
-    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == (size := 84 + 50 * count):
         return None
     text = b"\n" + re.sub(rb"\r\n?", b"\n", utf_8(data)).lower()
+    if b"\0" in text and b"vertex" not in text:
+        raise ValueError(
+            f"it was cut off, or has more behind its end: with the {count} triangles that its "
+            f"header counts it should have {size} bytes, but it has {len(data)}"
+        )
     *whole, rest = re.split(rb"\n[ \t]*endsolid\b.*", text)
     found: list[Array] = []
     for solid in [*whole, rest]:

@@ -549,6 +549,23 @@ def test_an_stl_file_of_text_that_was_cut_off_is_no_surface_without_its_last_sol
             read(path)
 
 
+@pytest.mark.parametrize("change", [-30, -1000, -4044, 1, 4084])
+def test_a_binary_stl_file_of_another_length_than_it_says_is_not_said_to_hold_nothing(
+    folder, change
+):
+    path = written(folder, "sphere.stl")
+    data = path.read_bytes()
+    path.write_bytes(data[:change] if change < 0 else data + (b"\n" if change == 1 else data))
+    size = len(path.read_bytes())
+    count = 80 if size >= 84 else 0
+    with pytest.raises(
+        ValueError,
+        match=rf"it was cut off, or has more .* the {count} triangles that its header counts it "
+        rf"should have {84 + 50 * count} bytes, but it has {size}\)",
+    ):
+        read(path)
+
+
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "2 0//1 1", " 1\t00 2 # last"])
 def test_a_corner_0_of_an_obj_file_is_not_taken_for_the_first(folder, face):
     path = folder / "zero.obj"
