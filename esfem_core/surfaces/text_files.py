@@ -30,7 +30,8 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     does not depend on those before it; trimesh counts them from the end of the file. Of corners
     such as -3/-3/-3 the first number, the position, is kept. A corner 0, which trimesh takes for
     the first, is refused. Lines that are indented or have tabs, and a first one behind a byte-order
-    mark, which it does not see, have their words between single blanks.
+    mark, which it does not see, have their words between single blanks; comments behind them, and
+    ends of lines as on old Macs, which it cannot read, are replaced.
 
     Examples
     --------
@@ -41,8 +42,8 @@ def counted_from_the_first(data: bytes) -> bytes | None:
     """
     plain = utf_8(data)
     text = re.sub(rb"\\\n", b"", re.sub(rb"\r\n?", b"\n", plain))
-    if re.search(rb"^ |\t|^f\s.*(-|(?<=\s)0+(?=[\s/]|$))", text, re.MULTILINE) is None:
-        return plain if plain != data else None
+    if re.search(rb"^ |\t|^v.*#|^f\s.*(#|-|(?<=\s)0+(?=[\s/]|$))", text, re.MULTILINE) is None:
+        return text if plain != data or b"\r" in plain.replace(b"\r\n", b"") else None
     lines, count = [], 0
     for line in text.splitlines():
         words = line.split(b"#")[0].split()

@@ -453,15 +453,20 @@ def test_a_corner_that_no_vertex_of_an_obj_file_has_is_refused(folder):
         read(path)
 
 
-def test_an_obj_file_may_have_tabs_and_indented_lines(folder):
+def test_an_obj_file_may_have_tabs_indented_lines_comments_behind_lines_and_any_ends(folder):
     lines = [f"v {x} {y} {z}" for x, y, z in SMALL.vertices.tolist()]
     lines += [f"f {i} {j} {k}" for i, j, k in (SMALL.faces + 1).tolist()]
     for text in (
         "\n".join(lines).replace(" ", "\t"),
         "\n".join(lines[:-1]) + f"\n  {lines[-1]}",
         "\n".join(f"\t{line}" for line in lines),
+        "# all\n" + "\n".join([f"{lines[0]} # first", *lines[1:]]),
+        "\n".join([*lines[:-1], f"{lines[-1]} # last"]),
+        "\r\n".join(["g a#1", f"{lines[0]}# first", *lines[1:]]),
+        "\r".join(["# all", *lines]),
+        "\r\n".join(lines),
     ):
-        (folder / "small.obj").write_text(text)
+        (folder / "small.obj").write_bytes(text.encode())
         tri, said = read(folder / "small.obj")
         assert said[-1] == "fit for ec.SurfaceSpace"
         assert np.array_equal(tri.faces, SMALL.faces)
