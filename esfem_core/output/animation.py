@@ -22,6 +22,7 @@ from esfem_core.output.pictures import (
     cube,
     draw,
     nodal_values,
+    times_of,
 )
 from esfem_core.output.plotting import load_matplotlib
 from esfem_core.output.viewer import LONGEST, Shot, load_viewer, viewer
@@ -180,10 +181,11 @@ def _film(
     ax = figure.add_subplot(projection="3d")
     shades = colour_range([shot.colours for shot in shots], limits)
     room = cube([shot.x for shot in shots])
+    times = times_of([shot.t for shot in shots])
 
     def frame(i: int) -> Any:
         ax.clear()
-        ax.set_title(f"{title}   t = {shots[i].t:.4g}".strip())
+        ax.set_title(f"{title}   t = {times[i]}".strip())
         return draw(ax, shots[i].space, shots[i].x, shots[i].colours, shades, room)
 
     if (scale := frame(0)) is not None:

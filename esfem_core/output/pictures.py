@@ -7,6 +7,7 @@ solver does not depend on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ __all__ = [
     "draw",
     "nodal_values",
     "plot",
+    "times_of",
 ]
 
 Values = str | Callable[[State], ArrayLike] | ArrayLike | None
@@ -241,3 +243,24 @@ def cube(positions: Sequence[Array]) -> Cube:
     low = np.min([x.min(axis=0) for x in positions], axis=0)
     high = np.max([x.max(axis=0) for x in positions], axis=0)
     return (low + high) / 2, float((high - low).max()) / 2
+
+
+def times_of(times: Sequence[float]) -> list[str]:
+    """Times of frames in words: with four digits, or as many as tell neighbours apart.
+
+    Those that agree to twelve digits are the same but for rounding.
+
+    Examples
+    --------
+    >>> times_of([0.0, 1 / 3, 12345.6])
+    ['0', '0.3333', '1.235e+04']
+    >>> times_of([12345.6, 12346.4, 12346.4, 0.1 + 0.2, 0.3])
+    ['12345.6', '12346.4', '12346.4', '0.3', '0.3']
+    """
+    most = [f"{t:.12g}" for t in times]
+    for digits in range(4, 12):
+        found = [f"{t:.{digits}g}" for t in times]
+        frames = zip(most, found, strict=True)
+        if all(a != b or s == t for (s, a), (t, b) in pairwise(frames)):
+            return found
+    return most

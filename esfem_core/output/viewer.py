@@ -21,7 +21,7 @@ import numpy as np
 
 from esfem_core.checks import Array, package, whole_number
 from esfem_core.elements import SurfaceSpace, flat_triangles
-from esfem_core.output.pictures import PLAIN, Cube, colour_range, cube, draw
+from esfem_core.output.pictures import PLAIN, Cube, colour_range, cube, draw, times_of
 from esfem_core.output.plotting import load_matplotlib
 from esfem_core.tables import Html
 
@@ -122,7 +122,7 @@ def viewer(
     duration = whole_number("duration", duration, 1, LONGEST)
     room = cube([shot.x for shot in shots])
     shades = colour_range([shot.colours for shot in shots], limits)
-    times = [f"{shot.t:.4g}" for shot in shots]
+    times = times_of([shot.t for shot in shots])
     place = os.environ.get("ESFEM_PLOTLY_JS") or None
     film = {
         "plotly": place,
@@ -227,15 +227,16 @@ def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    chosen = [shots[i] for i in sorted({0, len(shots) // 2, len(shots) - 1})]
+    times = times_of([shot.t for shot in shots])
+    chosen = sorted({0, len(shots) // 2, len(shots) - 1})
     figure = Figure(figsize=(3 * len(chosen), 3.4), facecolor="none")
     FigureCanvasAgg(figure)
-    for i, shot in enumerate(chosen):
+    for i, k in enumerate(chosen):
         place = (i / len(chosen), 0, 1 / len(chosen), 0.9)
         ax: Any = figure.add_axes(place, projection="3d", facecolor="none")
-        draw(ax, shot.space, shot.x, shot.colours, shades, room, STILL)
+        draw(ax, shots[k].space, shots[k].x, shots[k].colours, shades, room, STILL)
         ax.set_axis_off()
-        ax.set_title(f"t = {shot.t:.4g}", color="#767676")  # on white and on black
+        ax.set_title(f"t = {times[k]}", color="#767676")  # on white and on black
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100, metadata={"Software": None})
     picture = base64.b64encode(file.getvalue()).decode()
@@ -244,7 +245,7 @@ def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
 
 def _description(shots: Sequence[Shot], label: str) -> str:
     """What happens, in words: size and values at first and in the end, or where they go between."""
-    times = [f"{shot.t:.4g}" for shot in shots]
+    times = times_of([shot.t for shot in shots])
     sizes = np.array([np.ptp(shot.x, axis=0) for shot in shots])
     measures = [" × ".join(f"{side:.3g}" for side in size) for size in sizes]
     says = f"From t = {times[0]} to {times[-1]}: the surface measures "

@@ -51,6 +51,29 @@ def test_animation_names_its_picture_its_script_and_its_times(run, monkeypatch):
     assert repr(shown) == "a < b: 3 frames, t = 0 to 1"
 
 
+@pytest.mark.parametrize("start", [12345.6, 100.01, 1e6, 0.0])
+def test_times_of_neighbours_can_be_told_apart(run, monkeypatch, tmp_path, start):
+    """They were 1.235e+04 and 1.235e+04, in the clock, in words, above stills and frames."""
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    titles = []
+    monkeypatch.setattr(
+        "matplotlib.axes.Axes.set_title", lambda _, title, **__: titles.append(title)
+    )
+    later = [
+        ec.State(start + s.t / 50, s.x, None, s.u, space=s.space)
+        for s in (*run, ec.State(1.5, run[0].x, None, run[0].u, space=run[0].space))
+    ]
+    text = ec.animate(later).text
+    times = film_of(text)["times"]
+    assert list(map(float, times)) == pytest.approx([s.t for s in later], rel=1e-9)
+    assert f"From t = {times[0]} to {times[-1]}: " in text
+    assert f" and 4 × 4 × 4 at t = {times[2]}; " in text
+    assert titles == [f"t = {times[k]}" for k in (0, 2, 3)]
+    titles.clear()
+    ec.animate(later, tmp_path / "film.gif")
+    assert titles[-4:] == [f"t = {time}" for time in times]
+
+
 def test_pictures_that_differ_have_different_identifiers(run, monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     pictures = [ec.animate(run), ec.animate(run, title="a"), ec.animate(run, values=run[0].x[:, 1])]
