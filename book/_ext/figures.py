@@ -63,7 +63,9 @@ def dark(svg: str) -> str:
         return lighter(colour) if colour in drawn else colour
 
     svg = COLOUR.sub(turned, BEHIND.sub(r"\1none", svg))
-    return svg.replace("<svg ", f'<svg fill="{mixed(INK, INK, 0)}" ', 1)  # black if it says nothing
+    # Black is what says nothing; alone in a window, the picture has no page behind it.
+    root = f'<svg fill="{mixed(INK, INK, 0)}" style="background: {mixed(PAPER, PAPER, 0)}" '
+    return svg.replace("<svg ", root, 1)
 
 
 def link(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:

@@ -57,6 +57,9 @@ def test_a_figure_is_that_of_the_theme_and_opens_alone(scheme, reader):
         assert shown == (address.endswith("-dark.svg") == (scheme == "dark"))
         assert figure.locator("img").get_attribute("src") == address
         assert figure.locator("img").get_attribute("alt")
+    tab.locator(f"a.esfem-{scheme}").first.click()
+    behind = tab.evaluate("getComputedStyle(document.documentElement).backgroundColor")
+    assert behind == {"light": "rgba(0, 0, 0, 0)", "dark": "rgb(18, 18, 18)"}[scheme]
 
 
 @on_chromium
