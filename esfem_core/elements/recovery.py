@@ -9,6 +9,7 @@ twelve vertices with five triangles, on however fine a mesh. What converges at e
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, real_array
 from esfem_core.elements.space import SurfaceSpace
@@ -67,12 +68,14 @@ def smoothed(at: Surface, values: ArrayLike) -> Array:
     r"""A smooth finite element function close to rough values at the quadrature points.
 
     Normals of an interpolated surface of degree k = 2 have an error of order 2 that changes its
-    sign within each element. With h the mean side of the elements,
+    sign within each element. With h the mean side of the elements of a component,
 
     .. math:: I - (I - S)^3, \qquad S = (M + c h^2 A)^{-1} M,
 
     takes most of it away and itself has an error of order 6, on a closed surface; at a boundary,
-    where it takes the derivative across for zero, one of order 1.
+    where it takes the derivative across for zero, one of order 1. Details of a component that are
+    much smaller than its h are lost: the curvature of an ellipsoid with the axes 6, 1 and 1, of
+    5,120 stretched triangles, is off by 14 % at its tips.
 
     Parameters
     ----------
@@ -190,9 +193,12 @@ class Smoothing:
     """
 
     def __init__(self, at: Surface) -> None:
-        square = 4 / np.sqrt(3) * float(at.integral(1.0)) / len(at.space.cells)
+        component = connected_components(at.space.pattern, directed=False)[1][at.space.cells[:, 0]]
+        area = np.bincount(component, at.density @ at.space.rule.weights)
+        square = 4 / np.sqrt(3) * (area / np.bincount(component))[component]  # h^2
+        weight = np.broadcast_to(LENGTH * square[:, None], at.density.shape)
         self._M = at.M
-        self._factor = superlu(at.matrix(1.0, LENGTH * square), order=at.space.elimination_order)
+        self._factor = superlu(at.matrix(1.0, weight), order=at.space.elimination_order)
 
     def __call__(self, load: Array) -> Array:
         """The smooth function, (N, ...), of a load vector int values phi_j, (N, ...)."""

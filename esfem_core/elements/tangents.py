@@ -114,7 +114,7 @@ class TangentPlanes:
         """Numbers of the points that are looked up, (n,); anew where x differs from the last."""
         last, found = self._last
         if len(last) != len(x):
-            last, found = np.full_like(x, np.nan), np.empty(len(x), dtype=np.int64)
+            last, found = np.full(x.shape, np.nan), np.empty(len(x), dtype=np.int64)
         moved = np.flatnonzero((x != last).any(axis=1))
         if len(moved):
             found = found.copy()

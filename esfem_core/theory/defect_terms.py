@@ -87,6 +87,8 @@ def temporal_terms_u(
 ) -> dict[str, Array]:
     """The temporal part of M d_u, term by term as in [N] 6.2.
 
+    The derivative of u is that of :func:`esfem_core.theory.defects.rate_of_u`.
+
     Parameters
     ----------
     space, problem, order, step
@@ -188,7 +190,8 @@ def spatial_terms_u(
 
     The exact weak form, tested with lifts, is subtracted; so all terms but the last add up to
     :func:`esfem_core.theory.defects.spatial_defects`, up to the error of quadrature (give the space
-    a high `exactness`), if u solves the equation on the surface.
+    a high `exactness`), if u solves the equation on the surface. Derivatives are differences with a
+    step of 0.01, for surfaces and times of a size of about one.
 
     Parameters
     ----------

@@ -55,6 +55,21 @@ def test_curved_elements_are_taken_as_they_are():
     assert np.array_equal(found[1], smoothed_divergence(at, normal))
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_component_does_not_depend_on_others(degree):
+    """One length of smoothing for both would be that of the large one."""
+    small, large = ec.torus(n=24, m=12).apply_scale(0.1), ec.sphere("icosahedron", 2).apply_scale(3)
+    both = trimesh.util.concatenate([small, large.apply_translation([5, 0, 0])])
+    alone, beside = (ec.SurfaceSpace(tri, degree) for tri in (small, both))
+    near = np.linalg.norm(beside.nodes, axis=1) < 0.5
+    for own, found in zip(
+        *(normal_and_curvature(ec.Surface(space, space.nodes)) for space in (alone, beside)),
+        strict=True,
+    ):
+        # The order of nodes on edges is another.
+        np.testing.assert_allclose(np.sort(found[near], 0), np.sort(own, 0), rtol=0, atol=1e-9)
+
+
 def test_a_flow_of_flat_triangles_starts_with_them():
     at, _ = next(flat_eggs())
     values = ec.laws.MeanCurvature().initial(at)
