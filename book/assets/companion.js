@@ -28,9 +28,13 @@
     new ResizeObserver(() => look(box)).observe(box);
   }
 
+  // What has the width of a line: the words around a formula may have none of their own.
+  const around = (formula) =>
+    formula.closest("p, li, td, dd, figcaption, h1, h2, h3") || formula.parentElement;
+
   // A formula in a line that is longer than the line.
   function inline(formula) {
-    const place = formula.closest("p, li, td, dd, figcaption, h1, h2, h3") || formula.parentElement;
+    const place = around(formula);
     const wide = formula.firstElementChild;
     if (wide && wide.getBoundingClientRect().width > place.clientWidth && place.clientWidth > 0) {
       formula.classList.add("esfem-wide");
@@ -56,7 +60,7 @@
   function tie(formula) {
     const next = formula.nextSibling;
     const sign = next && next.nodeType === Node.TEXT_NODE && next.nodeValue.match(/^[,.;:)\]!?]+/);
-    const room = formula.parentElement.clientWidth - formula.getBoundingClientRect().width;
+    const room = around(formula).clientWidth - formula.getBoundingClientRect().width;
     if (!sign || room < 20) return;
     const both = whole("");
     formula.before(both);

@@ -111,7 +111,8 @@ def plot(
     scale = draw(ax, space, state.x, colours, shades, cube([state.x]))
     ax.set_title(title)
     if scale is not None:
-        ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
+        bar = ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1)
+        bar.set_label(label, rotation=0 if len(label) == 1 else 90)  # a u on its side is no u
     return ax
 
 

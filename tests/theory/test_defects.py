@@ -63,7 +63,9 @@ def triaxial():
         lambda p, t: p * scale(t, 1),
         lambda x, t: np.cos(t) * x[..., 0] + x[..., 1] * x[..., 2],
     )
-    return ec.Problem(u0=lambda x: x[:, 0], f=f, g=g, alpha=0.5, beta=2.0, exact=exact)
+    return ec.Problem(
+        u0=lambda x: x[:, 0] + x[:, 1] * x[:, 2], f=f, g=g, alpha=0.5, beta=2.0, exact=exact
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
