@@ -250,18 +250,17 @@ def _squared_weingarten(at: Surface) -> Array:
 
 def _takes_points(g: Callable[..., Any]) -> bool:
     """Whether g is called with (x, t) and not with a surface."""
+    kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
     try:
-        parameters = list(signature(g).parameters.values())
+        taken = [p for p in signature(g).parameters.values() if p.kind in kinds]
     except ValueError:  # some builtins do not tell
         return False
-    kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
-    needed = sum(p.default is Parameter.empty and p.kind in kinds for p in parameters)
+    needed = sum(p.default is Parameter.empty for p in taken)
     if needed not in (1, 2):
         raise ValueError(
             "g must be g(at) or g(x, t), with one or two arguments without defaults, got "
             f"{needed or 'none'}"
         )
-    taken = [p.name for p in parameters if p.kind in kinds]
-    if needed == 1 and taken[1:2] == ["t"]:
+    if needed == 1 and [p.name for p in taken[1:2]] == ["t"]:
         raise ValueError("g must be g(x, t) without a default for t, or g(at), which has at.t")
     return needed == 2

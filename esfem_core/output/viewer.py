@@ -134,14 +134,14 @@ def viewer(
     }
     script = resources.files("esfem_core.output").joinpath("viewer.js").read_text("utf8")
     style = resources.files("esfem_core.output").joinpath("viewer.css").read_text("utf8")
-    data, says = _json(film), html.escape(_description(shots, label))
+    data, says = _json(film), html.escape(_description(shots, times, label))
     identifier = f"esfem-{sha256((_json(title) + data).encode()).hexdigest()[:12]}"
     caption = f"{html.escape(title)} <small>{says}</small>" if title else says
     text = (
         f'<figure class="esfem-animation" id="{identifier}"><style>{style}</style>'
         f"{'' if place else _plotly()}"
-        f'<div class="esfem-frame" role="img" aria-label="{says}">{_poster(shots, room, shades)}'
-        '<div class="esfem-stage"></div></div>'
+        f'<div class="esfem-frame" role="img" aria-label="{says}">'
+        f'{_poster(shots, times, room, shades)}<div class="esfem-stage"></div></div>'
         '<div class="esfem-controls" role="group" aria-label="moving picture" hidden>'
         '<button type="button">play</button>'
         '<input type="range" min="0" max="1" value="0" step="1" aria-label="time">'
@@ -222,12 +222,11 @@ def _scene(room: Cube) -> Parts:
     return axes | SCENE
 
 
-def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
+def _poster(shots: Sequence[Shot], times: Sequence[str], room: Cube, shades: Range) -> str:
     """First, middle and last frame side by side, as a PNG inside the page."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    times = times_of([shot.t for shot in shots])
     chosen = sorted({0, len(shots) // 2, len(shots) - 1})
     figure = Figure(figsize=(3 * len(chosen), 3.4), facecolor="none")
     FigureCanvasAgg(figure)
@@ -243,9 +242,8 @@ def _poster(shots: Sequence[Shot], room: Cube, shades: Range) -> str:
     return f'<img class="esfem-poster" alt="" src="data:image/png;base64,{picture}">'
 
 
-def _description(shots: Sequence[Shot], label: str) -> str:
+def _description(shots: Sequence[Shot], times: Sequence[str], label: str) -> str:
     """What happens, in words: size and values at first and in the end, or where they go between."""
-    times = times_of([shot.t for shot in shots])
     sizes = np.array([np.ptp(shot.x, axis=0) for shot in shots])
     measures = [" × ".join(f"{side:.3g}" for side in size) for size in sizes]
     says = f"From t = {times[0]} to {times[-1]}: the surface measures "
