@@ -82,6 +82,17 @@ def browser():
         one.close()
 
 
+# A page that gets another width or another theme slides and fades to it; what is wider than its
+# place is marked a frame later.
+AT_REST = """async () => {
+    const frame = () => new Promise(requestAnimationFrame);
+    await frame();
+    await Promise.allSettled(document.getAnimations().map((change) => change.finished));
+    await frame();
+    await frame();
+}"""
+
+
 class Reader:
     """A page in an offline browser, with what went wrong on it."""
 
@@ -114,13 +125,17 @@ class Reader:
         self.tab.evaluate("() => window.MathJax && MathJax.startup && MathJax.startup.promise")
         return self.tab
 
+    def rest(self):
+        """Wait until nothing slides or fades any more, and what is wide is marked."""
+        self.tab.evaluate(AT_REST)
+
 
 @pytest.fixture(scope="session")
 def opened(seen, browser):
     """Give a page on a phone that the tests which ask for it share, one after the other."""
     one = Reader(browser, width=390, height=844, reduced_motion="reduce")
     one.open(seen).wait_for_load_state("networkidle")
-    one.tab.wait_for_timeout(100)  # what is wider than its place is marked a little later
+    one.rest()
     yield one
     one.context.close()
 
