@@ -114,7 +114,9 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
         prog="python -m esfem_core.companion.experiments",
         description=__doc__,
         epilog=f"experiments:\n{listing}\n\nmeshes of the distance function, in nick_figures_1_3, "
-        "nick_figures_2_4 and nick_coupling, need scikit-image, the extra mesh",
+        "nick_figures_2_4 and nick_coupling, need scikit-image, the extra mesh\n"
+        "lmv_run_times and nick_mass_runtime measure time: run them alone, with --jobs 1, on a "
+        "machine that does nothing else",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="name", help="experiments to run (all)")
