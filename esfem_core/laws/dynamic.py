@@ -15,9 +15,10 @@ In space it is
     = \Bigl( \int_{\Gamma_h[x]} g \nu \varphi_j \Bigr)_j,
 
 so that v is a conserved species. An explicit :math:`\beta A x` would be stable for small steps
-only, :math:`\tau\beta/\alpha` < 1.99, 1.31, 0.95, 0.70, 0.55 for p = 1, ..., 5. So
-:math:`x^n = \bar\tau v^n - \text{past}` is put in, with :math:`\bar\tau = \tau/\delta_0` and the
-past of (2.21):
+only, :math:`\tau\beta/\alpha` < 2, 4/3, 20/21, 32/45, 0.419 for p = 1, ..., 5: up to p = 4 waves
+of the shortest lengths grow first, for p = 5 those whose eigenvalue :math:`\lambda` of the
+Laplacian has :math:`\tau\alpha\lambda` near 2.7. So :math:`x^n = \bar\tau v^n - \text{past}` is put
+in, with :math:`\bar\tau = \tau/\delta_0` and the past of (2.21):
 
 .. math::
 

@@ -1,7 +1,11 @@
 """The dynamic law: spheres against their equation, momentum, orders, stiff tension."""
 
+import re
+from fractions import Fraction
+
 import numpy as np
 import pytest
+from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
 from temporal import fine_run, temporal_orders
 
@@ -85,6 +89,24 @@ def test_large_tension_needs_no_small_step(p):
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
     last = final(ec.evolve(space, ec.Problem(law=law), p, 0.05, 1.0))
     assert abs(np.linalg.norm(last.x, axis=1) - 1).max() < 0.1
+
+
+def largest_growth(p, limit):
+    """Growth per step with beta A x explicit, over all waves: tau = 1, alpha lambda = s.
+
+    v' + s v + limit s x = 0 and x' = v, where x is extrapolated.
+    """
+    delta, gamma = (Polynomial(c) for c in (ec.bdf.delta(p), np.append(0, ec.bdf.gamma(p))))
+    waves = np.logspace(-2, 5, 300)
+    return max(1 / abs(((delta + s) * delta + limit * s * gamma).roots()).min() for s in waves)
+
+
+def test_the_stated_limits_of_an_explicit_tension_are_those_of_its_roots():
+    said = re.search(r"alpha` < (.+) for p", ec.laws.dynamic.__doc__)[1].split(", ")
+    assert len(said) == 5
+    for p, limit in enumerate(map(float, map(Fraction, said)), 1):
+        assert largest_growth(p, 0.998 * limit) < 1 + 1e-9
+        assert largest_growth(p, 1.002 * limit) > 1 + 1e-6
 
 
 @pytest.mark.parametrize("mass", ["updated", "extrapolated"])
