@@ -51,8 +51,14 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+"""An array of double precision."""
+
 Ints = NDArray[np.int64]
+"""An array of integers."""
+
 Bools = NDArray[np.bool_]
+"""An array of truth values."""
+
 Kind = TypeVar("Kind")
 
 EXACT = 2.0**53  # floats from here on do not tell integers apart

@@ -5,7 +5,17 @@ import re
 import pytest
 import sources
 import yaml
-from sources import PACKAGE, Lines, Place, cited, handed_out, home, imports, modules
+from sources import (
+    PACKAGE,
+    Lines,
+    Place,
+    cited,
+    first_line,
+    handed_out,
+    home,
+    imports,
+    modules,
+)
 from test_rooms import ORDER
 
 BOOK = sources.ROOT.parent / "book"
@@ -106,6 +116,28 @@ def test_names_lead_home():
     assert home("esfem_core.bdf.delta") == "esfem_core.stepping.bdf.delta"
     assert home("esfem_core.SurfaceSpace.load") == "esfem_core.elements.space.SurfaceSpace.load"
     assert home("numpy.array") == "numpy.array"
+
+
+@pytest.mark.parametrize("room", ["", *ROOMS])
+def test_all_that_a_room_hands_out_says_what_it_is(room):
+    module = f"{PACKAGE}.{room}".strip(".")
+    silent = [n for n in handed_out(module) if not first_line(home(f"{module}.{n}"))]
+    assert silent == []
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [
+        ("measure", "stepping.measure"),
+        ("repair", "surfaces.repair"),
+        ("smooth", "surfaces.smooth"),
+        ("manufactured", "problems.manufactured"),
+    ],
+)
+def test_a_name_that_its_module_bears_leads_to_the_function(name, module):
+    function = f"esfem_core.{module}.{name}"
+    assert home(f"esfem_core.{name}") == home(f"esfem_core.{module}") == function
+    assert home("esfem_core.bdf") == "esfem_core.stepping.bdf"
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code(tmp_path, monkeypatch):

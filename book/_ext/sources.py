@@ -80,9 +80,13 @@ def split(name: str) -> tuple[str, str]:
 def home(name: str) -> str:
     """Follow a name through the modules that hand it on to where it is defined.
 
-    ``esfem_core.SurfaceSpace.load`` becomes ``esfem_core.elements.space.SurfaceSpace.load``.
+    ``esfem_core.SurfaceSpace.load`` becomes ``esfem_core.elements.space.SurfaceSpace.load``. A
+    function that a room hands out and whose module has its name, as ``repair``, goes before it.
     """
     module, inside = split(name)
+    room, _, last = module.rpartition(".")
+    if room and not inside and (last, module, last) in imports(room):
+        return f"{module}.{last}"
     if module and inside:
         first, *rest = inside.split(".")
         for here, origin, there in imports(module):
@@ -107,7 +111,10 @@ def first_line(name: str) -> str:
     # A string under an assignment describes the name.
     for node, after in pairwise(tree(module).body):
         match node, after:
-            case ast.Assign(targets=[ast.Name(id=target)]), ast.Expr(ast.Constant(str(text))):
+            case (
+                ast.Assign(targets=[ast.Name(target)]) | ast.AnnAssign(target=ast.Name(target)),
+                ast.Expr(ast.Constant(str(text))),
+            ):
                 found[target] = text
     return (found.get(inside) or "").split("\n")[0]
 

@@ -21,7 +21,11 @@ __all__ = ["COLOURS", "MARKERS", "convergence_plot", "load_matplotlib", "style"]
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart; markers differ as well.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Colours of curves, one after the other."""
+
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers of curves, one after the other."""
+
 MAX_TICKS = 6  # on the axis of a convergence plot
 
 

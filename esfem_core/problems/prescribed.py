@@ -13,7 +13,10 @@ from esfem_core.surfaces.exact_surfaces import Ellipsoid
 __all__ = ["Evaluation", "Solution", "baseball_bat", "oscillating_ellipsoid"]
 
 Solution = Literal["decay", "oscillation"]
+"""Exact solutions of :func:`oscillating_ellipsoid`."""
+
 Evaluation = Literal["direct", "lifted"]
+"""How the source of :func:`oscillating_ellipsoid` is evaluated."""
 
 
 def oscillating_ellipsoid(

@@ -21,6 +21,8 @@ __all__ = [
 ]
 
 Coupling = Literal["smooth", "printed", "none"]
+"""How u acts on the motion in :func:`expanding_sphere`."""
+
 MOST_EVALUATIONS = 100_000  # of the equation of a radius: a second of time
 
 

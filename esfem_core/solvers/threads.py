@@ -33,12 +33,15 @@ __all__ = [
 ]
 
 MOST_THREADS = 256
+"""Most threads that may be asked for."""
+
 BLAS_THREADS = (
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "BLIS_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
+"""Environment variables that say how many threads NumPy's linear algebra takes."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

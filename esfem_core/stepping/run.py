@@ -61,6 +61,8 @@ __all__ = ["MASSES", "evolve"]
 SolverName = Literal["lagged", "cholmod", "direct"]
 StartName = Literal["exact", "euler"]
 MASSES: tuple[Mass, ...] = get_args(Mass)
+"""The choices of `mass` of :func:`evolve`."""
+
 EVERY = 50  # steps from save to save if `every` is not given: its default
 
 

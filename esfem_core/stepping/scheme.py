@@ -29,6 +29,8 @@ from esfem_core.stepping.systems import GUESS, Systems, stacked
 __all__ = ["Perturbation", "Scheme"]
 
 Perturbation = Callable[[int], Mapping[str, Array] | tuple[Array, Array, Array]]
+"""What is added to right-hand sides, by the number of a step; see :func:`esfem_core.evolve`."""
+
 Functions = dict[str, Array]
 
 

@@ -27,6 +27,8 @@ __all__ = ["EvolutionError", "Mass", "State", "check_state", "known_space", "sam
 
 
 Mass = Literal["updated", "extrapolated", "reassembled"]
+"""Where mass matrices are taken, see `mass` of :func:`esfem_core.evolve`."""
+
 Method = tuple[str, int, float]
 
 

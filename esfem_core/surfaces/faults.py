@@ -35,6 +35,7 @@ __all__ = [
 # Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
 # package. An area from the metric, sqrt(EG - F^2), is lost in rounding at 1e-8.
 FLATTEST = 1e-7
+"""Smallest quality of a triangle that is allowed; an equilateral one has 1."""
 
 # Sides shorter than this share of the coordinates are rounding errors; as for elements, by the same
 # number in elements/integrals.py.
