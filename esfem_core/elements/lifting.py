@@ -6,6 +6,7 @@ import numpy as np
 
 from esfem_core.checks import Array, real_array
 from esfem_core.elements.lagrange import tabulate
+from esfem_core.elements.probing import check_space
 from esfem_core.elements.quadrature import triangle_rule
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.surfaces import central_stencil
@@ -61,8 +62,8 @@ def squared_differences(
     Raises
     ------
     TypeError, ValueError
-        If x, w or what `closest` or `function` return are not real numbers of the stated shape,
-        or `exactness` is not an integer >= 0.
+        If `space` is no SurfaceSpace, x, w or what `closest` or `function` return are not real
+        numbers of the stated shape, or `exactness` is not an integer >= 0.
 
     Examples
     --------
@@ -75,6 +76,7 @@ def squared_differences(
     >>> print(np.round([squares[0] / (4 * np.pi / 3), gradients[0] / (8 * np.pi / 3)], 4))
     [0.9993 0.9993]
     """
+    check_space(space)
     degree, n = space.degree, len(space.nodes)
     rule = triangle_rule(2 * degree + 2 if exactness is None else exactness)
     nodes = real_array("x", x, (n, 3))[space.cells]

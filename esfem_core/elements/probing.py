@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 from math import factorial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from esfem_core.checks import Array, Ints, finite_array
+from esfem_core.checks import Array, Ints, finite_array, shown
 from esfem_core.elements.lagrange import node_indices, tabulate
 from esfem_core.elements.numbering import flat_triangles
 from esfem_core.surfaces import Balls
@@ -20,6 +20,7 @@ EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
 FAR = 1e7  # sizes of the surface; farther away, rounding of distances hides closest points
 
 
+@runtime_checkable
 class Elements(Protocol):
     """What is used of a :class:`esfem_core.SurfaceSpace`."""
 
@@ -48,6 +49,20 @@ class ClosestPoints(NamedTuple):
     distance: Array
 
 
+def check_space(space: Elements) -> None:
+    """Refuse what is no space.
+
+    Examples
+    --------
+    >>> check_space(None)
+    Traceback (most recent call last):
+        ...
+    TypeError: space must be a SurfaceSpace, got None
+    """
+    if not isinstance(space, Elements):
+        raise TypeError(f"space must be a SurfaceSpace, got {shown(space)}")
+
+
 def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestPoints:
     """Find the points of Γ_h[x] that are closest to given ones.
 
@@ -74,7 +89,7 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong shape or is not real and finite.
+        If an argument has the wrong type or shape or is not real and finite.
 
     Examples
     --------
@@ -87,6 +102,7 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     >>> found.distance.round(2)
     array([2., 4.])
     """
+    check_space(space)
     x = finite_array("x", x, (len(space.nodes), 3))
     given = finite_array("points", points, ("n", 3))
     largest, size = np.abs(x).max(initial=0), np.abs(given).max(axis=1, initial=0)
@@ -147,7 +163,7 @@ def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Arr
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong shape or is not real and finite.
+        If an argument has the wrong type or shape or is not real and finite.
 
     Examples
     --------
@@ -157,6 +173,7 @@ def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Arr
     >>> probe(space, x, x[:, 0] * x[:, 1], [[0.3, 0.4, 0.0], [3.0, 4.0, 0.0]]).round(4)
     array([0.48, 0.48])
     """
+    check_space(space)
     u = finite_array("u", u, (len(space.nodes), "..."))
     at = closest_points(space, x, points)
     values = tabulate(space.degree, at.local).values

@@ -160,13 +160,24 @@ class Surface:
         return self.grad("u")
 
     def __getitem__(self, name: str) -> Array:
-        """Values of a function at the quadrature points, (T, Q, ...)."""
+        """Values of a function at the quadrature points, (T, Q, ...).
+
+        Raises
+        ------
+        TypeError, KeyError
+            As of :meth:`grad`.
+        """
         return self._function("value", name)
 
     def grad(self, name: str) -> Array:
         """Surface gradient of a function at the quadrature points, (T, Q, ..., 3).
 
         The last index is that of the derivative.
+
+        Raises
+        ------
+        TypeError, KeyError
+            If `name` is no string, or no function of this surface.
         """
         return self._function("gradient", name)
 
@@ -174,11 +185,22 @@ class Surface:
         """Integrals over Γ_h[x] of values (T, Q, ...), or of a constant: (...).
 
         See :meth:`SurfaceSpace.integrate`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `values` has the wrong shape or is not real.
         """
         return self.space.integral_with(self.density, values)
 
     def mean(self, values: ArrayLike) -> Array:
-        """Mean values over Γ_h[x], (...)."""
+        """Mean values over Γ_h[x], (...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :meth:`integral`.
+        """
         mean: Array = self.integral(values) / self.integral(1.0)
         return mean
 
@@ -357,6 +379,19 @@ def _weight(
         check_tensors(name, tensor)
         return tensor.transpose(2, 3, 1, 0)
     return real_array(name, values, points).T
+
+
+def check_surface(at: Surface) -> None:
+    """Refuse what is no surface.
+
+    Examples
+    --------
+    >>> check_surface(None)
+    Traceback (most recent call last):
+        ...
+    TypeError: at must be a Surface, got None
+    """
+    object_of("at", at, Surface)
 
 
 def check_tensors(name: str, tensor: Array) -> None:

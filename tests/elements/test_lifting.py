@@ -215,3 +215,9 @@ def test_arrays_that_do_not_fit_are_refused_by_name(change, message):
     }
     with pytest.raises(ValueError, match=message):
         squared_differences(space, **(arguments | change))
+
+
+def test_what_is_no_space_is_refused_by_name():
+    x = space_of(0).nodes
+    with pytest.raises(TypeError, match="space must be a SurfaceSpace, got None"):
+        squared_differences(None, x, ec.to_unit_sphere, x[:, :1], lambda y: y[:, :1])

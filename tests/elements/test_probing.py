@@ -255,6 +255,12 @@ def test_what_is_not_finite_or_real_is_refused():
         probe(space, x, u + 1j, points)
 
 
+@pytest.mark.parametrize(("function", "u"), [(probe, [np.zeros(18)]), (closest_points, [])])
+def test_what_is_no_space_is_refused_by_name(function, u):
+    with pytest.raises(TypeError, match="space must be a SurfaceSpace, got None"):
+        function(None, np.zeros((18, 3)), *u, np.zeros((2, 3)))
+
+
 @pytest.mark.parametrize("distance", [1e9, 1e14, 1e75, 1e160, 1e308])
 def test_from_very_far_away_the_tip_is_closest(distance):
     space = sphere(2)

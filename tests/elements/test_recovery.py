@@ -5,7 +5,12 @@ import pytest
 import trimesh
 
 import esfem_core as ec
-from esfem_core.elements import normal_and_curvature, smoothed, smoothed_divergence
+from esfem_core.elements import (
+    nodal_average,
+    normal_and_curvature,
+    smoothed,
+    smoothed_divergence,
+)
 from esfem_core.solvers import superlu
 
 EGG = ec.exact_surfaces.Ellipsoid((1.3, 1.0, 0.8))
@@ -94,3 +99,17 @@ def test_normals_must_be_nodal():
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
     with pytest.raises(ValueError, match=r"normal must have shape \(42, 3\), got \(42,\)"):
         smoothed_divergence(ec.Surface(space, space.nodes), np.ones(42))
+
+
+@pytest.mark.parametrize(
+    ("function", "others"),
+    [
+        (nodal_average, [np.ones(42)]),
+        (smoothed, [np.ones(42)]),
+        (smoothed_divergence, [np.ones((42, 3))]),
+        (normal_and_curvature, []),
+    ],
+)
+def test_what_is_no_surface_is_refused_by_name(function, others):
+    with pytest.raises(TypeError, match="at must be a Surface, got None"):
+        function(None, *others)
