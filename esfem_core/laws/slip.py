@@ -60,10 +60,12 @@ STABLE = (1.7, 1.1, 0.8, 0.6, 0.45)
 class Elastic:
     """The slip towards the least elastic deformation of the initial surface.
 
-    On an ellipsoid that is sheared or stretched to three times its length, angles stay twice to
-    three times as large as without; with ``area=0`` angles are a little better, but triangles
-    crowd. One system is solved per step, and three more for normals unless the law has them, as
-    vectors "normal" among its functions, with matrices that never change.
+    On an ellipsoid that is stretched to three times its length the smallest angle stays 1.3 to 1.7
+    times as large as without, on one that is strongly sheared two to four times; with ``area=0`` it
+    is larger in most cases, but triangles crowd. One system is solved per step, and three more for
+    normals unless the law has them, as vectors "normal" among its functions, with matrices that
+    never change. Called with a :class:`esfem_core.Surface`, it returns the velocity w of its nodes,
+    (N, 3).
 
     Parameters
     ----------
