@@ -165,7 +165,7 @@ def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the problem has no exact solution or one of another surface than that of the nodes of
         the space, its law lets nodes slip, which are then not where the exact ones are, the state
         is not one of this space, something is not finite, or u and the exact u differ in shape.
@@ -210,7 +210,7 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the problem has no exact solution or the solution no closest points and origins, or as
         for :func:`compare`.
 
@@ -289,7 +289,7 @@ def difference(space: SurfaceSpace, state: State, reference: State) -> Errors:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the states are not at the same time, not on this space, not finite, or their u differ in
         shape.
 

@@ -390,7 +390,7 @@ class SurfaceSpace:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If `x` has another shape.
         DegenerateElementError
             If an element has no area or a position is not finite.
@@ -399,7 +399,13 @@ class SurfaceSpace:
         return M, A
 
     def mass(self, x: Array) -> csr_array:
-        """Mass matrix alone, in half the time of both; see :meth:`mass_stiffness`."""
+        """Mass matrix alone, in 0.55 to 0.75 of the time of both; see :meth:`mass_stiffness`.
+
+        Raises
+        ------
+        TypeError, ValueError, DegenerateElementError
+            As of :meth:`mass_stiffness`.
+        """
         [M] = self.assemble(x, lambda _, g: (self.tables.mass @ g.s,), 1)
         return M
 
@@ -468,6 +474,11 @@ class SurfaceSpace:
         Returns
         -------
         (n, ...) float array
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument has the wrong shape or is not real and finite.
 
         Examples
         --------
@@ -539,7 +550,7 @@ class SurfaceSpace:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If an argument has the wrong shape.
         DegenerateElementError
             If an element has no area or a position is not finite.
@@ -569,6 +580,11 @@ class SurfaceSpace:
         Returns
         -------
         (N, ...) float array
+
+        Raises
+        ------
+        TypeError, ValueError, DegenerateElementError
+            As of :meth:`load`.
 
         Examples
         --------
@@ -613,7 +629,7 @@ class SurfaceSpace:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If `u` does not have one row per node.
         """
         local = self.local(u)
@@ -636,7 +652,7 @@ class SurfaceSpace:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             If an argument has the wrong shape.
         DegenerateElementError
             If an element has no area or a position is not finite.
@@ -651,11 +667,23 @@ class SurfaceSpace:
         return self.points_first(out.reshape(-1, *out.shape[2:]), (*np.shape(u)[1:], 3))
 
     def quadrature_points(self, x: Array) -> Array:
-        """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3)."""
+        """Quadrature points on Γ_h[x], as an array of shape (T, Q, 3).
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `x` has another shape or is not real and finite.
+        """
         return self.evaluate(finite_array("x", x, self.nodes.shape))
 
     def normals(self, x: Array) -> Array:
-        """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3)."""
+        """Unit outward normals of Γ_h[x] at the quadrature points, of shape (T, Q, 3).
+
+        Raises
+        ------
+        TypeError, ValueError, DegenerateElementError
+            As of :meth:`mass_stiffness`.
+        """
         out = np.empty((3, len(self.rule.weights), len(self.cells)))
 
         def fill(c: slice, g: Metric) -> None:
@@ -668,6 +696,11 @@ class SurfaceSpace:
         """Area density of Γ_h[x] over the reference triangle, (T, Q).
 
         ``space.density(x) @ space.rule.weights`` are the areas of the elements.
+
+        Raises
+        ------
+        TypeError, ValueError, DegenerateElementError
+            As of :meth:`mass_stiffness`.
         """
         out = np.empty((len(self.rule.weights), len(self.cells)))
 
@@ -682,6 +715,11 @@ class SurfaceSpace:
 
         The third index is that of ``cells``: ``basis_gradients(x)[t, q, a]`` is the gradient of the
         basis function of node ``cells[t, a]`` at quadrature point q of element t.
+
+        Raises
+        ------
+        TypeError, ValueError, DegenerateElementError
+            As of :meth:`mass_stiffness`.
         """
         n = self.cells.shape[1]
         out = np.empty((n, 3, len(self.rule.weights), len(self.cells)))
@@ -712,7 +750,13 @@ class SurfaceSpace:
         return Fronts(dissect(self.cells, self.nodes), self.cells, self.pattern)
 
     def mesh_size(self, x: Array) -> float:
-        """h: the longest distance of two corners of an element of Γ_h[x] ([N] Section 2.8)."""
+        """h: the longest distance of two corners of an element of Γ_h[x] ([N] Section 2.8).
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `x` has another shape or is not real and finite.
+        """
         corners = finite_array("x", x, self.nodes.shape)[self.cells[:, :3]]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
 

@@ -72,7 +72,8 @@ class Dynamic(ReadOnly, Law):
     Raises
     ------
     ValueError, TypeError
-        If a parameter is out of range or no function where one is needed.
+        If a parameter is out of range or no function where one is needed. What functions return is
+        looked at in a run, see :func:`esfem_core.evolve`.
 
     Examples
     --------

@@ -79,7 +79,8 @@ class MeanCurvature(ReadOnly, Law):
     ValueError, TypeError
         If a parameter is out of range or no function where one is needed; when a run begins, if
         the normal points inwards or is far from length one, or the curvature has the other sign or
-        is about half of that of the surface, as the mean of the principal ones is.
+        is about half of that of the surface, as the mean of the principal ones is. What g returns
+        is looked at in a run, see :func:`esfem_core.evolve`.
 
     Examples
     --------

@@ -35,7 +35,8 @@ class Regularised(Law):
     Raises
     ------
     ValueError, TypeError
-        If a parameter is out of range or g no function.
+        If a parameter is out of range or g no function. What g returns is looked at in a run, see
+        :func:`esfem_core.evolve`.
 
     Examples
     --------

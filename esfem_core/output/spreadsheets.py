@@ -26,6 +26,12 @@ class TableWriter:
     path : path
         Ends with ".csv"; a file that is there is replaced with the first row.
 
+    Raises
+    ------
+    TypeError, ValueError, OSError
+        If `path` is no path, does not end with ".csv", or is in a directory that does not exist or
+        cannot be written to.
+
     Examples
     --------
     >>> import tempfile

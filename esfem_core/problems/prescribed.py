@@ -156,7 +156,7 @@ def baseball_bat(u0: Callable[[Array], Array] | Array | None = None) -> Problem:
 
     Parameters
     ----------
-    u0 : callable or (N,) or (N, m) array, optional
+    u0 : callable, array or float, optional
         Initial values, as for :class:`Problem`; the paper's x1 x2 if None. Their integral,
         which is conserved, is zero for the paper's.
 
@@ -164,6 +164,11 @@ def baseball_bat(u0: Callable[[Array], Array] | Array | None = None) -> Problem:
     -------
     Problem
         Without an exact solution, for the unit sphere as initial surface.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As of :class:`Problem`.
 
     Examples
     --------

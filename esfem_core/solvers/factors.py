@@ -183,6 +183,11 @@ class DirectSolver:
     factorisations : int
         Their number since the solver was made.
 
+    Raises
+    ------
+    TypeError
+        If `factorise` is no function.
+
     Examples
     --------
     >>> from scipy.sparse import diags_array

@@ -40,7 +40,7 @@ def delta(p: int) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `p` is not one of 1, ..., 100.
 
     Examples
@@ -71,7 +71,7 @@ def gamma(p: int) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If `p` is not one of 1, ..., 100.
 
     Examples
@@ -88,7 +88,13 @@ def _gamma(p: int) -> tuple[float, ...]:
 
 
 def delta_exact(p: int) -> tuple[Fraction, ...]:
-    """Coefficients of :func:`delta` as exact fractions."""
+    """Coefficients of :func:`delta` as exact fractions.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As of :func:`delta`.
+    """
     return _delta_exact(whole_number("the order p", p, 1, MOST_STEPS))
 
 

@@ -95,8 +95,8 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
     ------
     OSError
         If there is no such file, or the system cannot read it: too many are open, or it may not be.
-    ValueError
-        If the file is damaged or another one, or of a later version.
+    TypeError, ValueError
+        If `path` is no path, or the file is damaged or another one, or of a later version.
 
     Examples
     --------

@@ -83,10 +83,11 @@ def remeshed(
     TypeError, ValueError
         If the states do not fit together, know no space, have a boundary, or lack a function of
         the problem, or the problem fixes one at nodes that are given by number. If h is
-        not positive, or so large that the surface could not have the topology it has: a component
-        has no room for twenty triangles, or turns by more than 60 degrees within one. If the new
-        triangles are not fit on the initial surface, where that counts. If a node has no normal,
-        or a vector field "normal" points inwards.
+        not positive, or so small that there were more than a million triangles, or so large that
+        the surface could not have the topology it has: a component has no room for twenty
+        triangles, or turns by more than 60 degrees within one. If the new triangles are not fit on
+        the initial surface, where that counts. If a node has no normal, or a vector field "normal"
+        points inwards.
     MeshingError
         If some angle remains below 15 degrees.
 

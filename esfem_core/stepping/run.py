@@ -117,8 +117,8 @@ def evolve(
         Final time, an integer number of steps (to a relative 1e-9) after the last starting state,
         and so at least (p - 1) steps after the first.
     mass : {"updated", "extrapolated", "reassembled"}
-        Where the mass matrices of the species are taken; no difference for a prescribed motion,
-        and the functions that a law carries always have those of (2.19).
+        Where the mass matrices of the species are taken; no difference for a prescribed motion
+        without a slip, and the functions that a law carries always have those of (2.19).
         "updated": at x^n on every level, known before u^n is; of order p. It keeps the amount
         1' M(x^n) u^n of the surface itself. On three surfaces (the stored results
         ``nick_mass_order``) its temporal errors are 0.08 to 1.07 times those of (2.19) in x; in u
@@ -189,16 +189,19 @@ def evolve(
     TypeError, ValueError
         If an argument is out of range, or the surface has a boundary that is to be moved by another
         law than :class:`esfem_core.laws.Prescribed`; at the call, before anything is computed.
+    TypeError, ValueError, KeyError
+        In the loop, if a function of the problem, or `perturbation`, returns the wrong type or
+        shape or asks for what is not there.
     FileNotFoundError, PermissionError
         If the directory of `save` does not exist, or cannot be written to.
     ImportError
         If the solver is "cholmod" and the extra ``fast`` is not installed.
     EvolutionError
-        If a run meets a value that is not finite or has grown beyond `growth`, if an element
-        degenerates, or turns by more than a right angle within a step, a component of the surface
-        turns inside out, or a linear system is not solved to its tolerance. The states yielded
-        before are good, but for what a warning says. A surface that passes through itself is not
-        noticed.
+        If a run meets a value that is not finite or has grown beyond `growth`, or a rate or
+        diffusivity that is negative, if an element degenerates, or turns by more than a right angle
+        within a step, a component of the surface turns inside out, or a linear system is not solved
+        to its tolerance. The states yielded before are good, but for what a warning says. A surface
+        that passes through itself is not noticed.
 
     Warns
     -----

@@ -30,7 +30,7 @@ def exact_state(space: SurfaceSpace, problem: Problem, t: float) -> State:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the problem has no exact solution.
 
     Examples

@@ -57,7 +57,13 @@ class State:
     Attributes
     ----------
     t, x, v, space, fields, products, method
-        v is None in starting states, which no step has computed.
+        v is None in starting states, which no step has computed. ``state["name"]`` is any of
+        `fields`, and ``state.u`` that of the species "u".
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array has the wrong shape or is not real, or u is given twice.
 
     Examples
     --------

@@ -100,6 +100,8 @@ def _orders(sizes: Array, values: Array) -> Array:
 class ConvergenceTable(ReadOnly):
     """Errors for a sequence of step sizes or mesh sizes; displays as a table in a notebook.
 
+    ``table["x_l2"]`` are the errors of that name, one for each size.
+
     Parameters
     ----------
     parameter : str

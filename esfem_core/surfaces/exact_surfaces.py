@@ -82,15 +82,33 @@ class ExactSurface(ABC):
         """
 
     def closest(self, x: Array) -> Array:
-        """Closest points p, for `project` of :class:`esfem_core.SurfaceSpace`."""
+        """Closest points p, for `project` of :class:`esfem_core.SurfaceSpace`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :meth:`near`.
+        """
         return self.near(x).points
 
     def normal(self, x: Array) -> Array:
-        """Unit outward normals at the closest points, (..., 3)."""
+        """Unit outward normals at the closest points, (..., 3).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :meth:`near`.
+        """
         return self.near(x).normal
 
     def mean_curvature(self, x: Array) -> Array:
-        """Sum of the principal curvatures at the closest points, (...)."""
+        """Sum of the principal curvatures at the closest points, (...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :meth:`near`.
+        """
         return self.near(x).mean_curvature
 
 
@@ -283,6 +301,11 @@ class LevelSet(ExactSurface):
         against the coordinates it grows, to 1e-6 at a millionth of them, and on short waves of the
         surface, whose points of inflection look plain: to about ``2e-9 (R/w)**4`` for waves of
         length w on a surface of radius R.
+
+    Raises
+    ------
+    TypeError
+        If `d`, or a `gradient` that is given, is no function.
 
     Examples
     --------

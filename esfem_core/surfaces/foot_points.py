@@ -14,6 +14,9 @@ __all__ = ["FootPoints"]
 class FootPoints:
     """The closest points of given triangles, for many points.
 
+    Called with points, (n, 3), it returns their triangles, (n,), and barycentric coordinates in
+    them, (n, 3).
+
     Parameters
     ----------
     corners : (T, 3, 3) float array

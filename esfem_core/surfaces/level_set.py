@@ -66,6 +66,11 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
         raises a ValueError where Newton's method does not arrive, the gradient vanishes or is not
         that of d on the surface.
 
+    Raises
+    ------
+    TypeError
+        If `d`, or a `gradient` that is given, is no function.
+
     Examples
     --------
     >>> project = project_to_level_set(lambda x: (x**2 / [4, 1, 1]).sum(axis=1) - 1)

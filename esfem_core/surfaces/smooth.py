@@ -112,8 +112,8 @@ def _check_closed(tri: trimesh.Trimesh) -> None:
 class SmoothSurface(ReadOnly):
     """A smooth surface through the vertices of a triangulation, made by :func:`smooth`.
 
-    Called with points, it takes them to the closest points of the flat triangles, and these to
-    the smooth surface.
+    Called with points, (n, 3), it takes them to the closest points of the flat triangles, and these
+    to the smooth surface.
 
     Attributes
     ----------

@@ -148,7 +148,7 @@ def exact_values(space: SurfaceSpace, problem: Problem, t: float) -> NodalValues
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the problem has no exact solution.
     """
     state = exact_state(space, problem, t)
@@ -288,6 +288,11 @@ def rate_of_u(space: SurfaceSpace, problem: Problem, t: float) -> Array:
     Returns
     -------
     (N,) or (N, m) float array
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the problem has no exact solution, or an argument is not as stated.
     """
     return derivative(lambda s: exact_state(space, problem, s).u, t)
 
@@ -308,8 +313,10 @@ def stretching(space: SurfaceSpace, x: Array, v: ArrayLike, u: ArrayLike) -> Arr
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument has the wrong shape or is not finite.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
 
     Examples
     --------
@@ -348,8 +355,10 @@ def rate_of_mass(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument has the wrong shape or is not finite.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
     """
     object_of("space", space, SurfaceSpace)
     u = finite_array("u", u, (len(space.nodes), "..."))
@@ -472,6 +481,8 @@ def source_load(
     TypeError, ValueError
         If an argument, or what f returns, has the wrong shape or is not finite, or as by
         :func:`constant_diffusivity`.
+    esfem_core.DegenerateElementError
+        If an element has no area.
 
     Examples
     --------
@@ -509,6 +520,8 @@ def force_load(
     TypeError, ValueError
         If an argument, or what g returns, has the wrong shape or is not finite, or as by
         :func:`regularised_law`.
+    esfem_core.DegenerateElementError
+        If an element has no area.
 
     Examples
     --------

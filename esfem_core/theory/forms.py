@@ -68,8 +68,10 @@ def mass(space: SurfaceSpace, x: Array, weight: ArrayLike | None = None) -> csr_
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument has the wrong shape or is not finite.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
 
     Examples
     --------
@@ -107,8 +109,10 @@ def stiffness(space: SurfaceSpace, x: Array, tensor: ArrayLike | None = None) ->
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument has the wrong shape or is not finite, or a tensor is not symmetric.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
     """
     at = Surface(space, x)
     if tensor is None:
@@ -133,8 +137,10 @@ def divergence(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If an argument has the wrong shape or is not finite.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
 
     Examples
     --------
@@ -166,7 +172,9 @@ def deformation(space: SurfaceSpace, x: Array, v: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
+        As for :func:`divergence`.
+    esfem_core.DegenerateElementError
         As for :func:`divergence`.
     """
     E = _velocity_gradient(space, x, v)
@@ -200,7 +208,9 @@ def mass_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
+        As for :func:`divergence`.
+    esfem_core.DegenerateElementError
         As for :func:`divergence`.
 
     Examples
@@ -237,7 +247,9 @@ def stiffness_rate(space: SurfaceSpace, x: Array, v: ArrayLike) -> csr_array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
+        As for :func:`divergence`.
+    esfem_core.DegenerateElementError
         As for :func:`divergence`.
 
     Examples
@@ -372,7 +384,7 @@ def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> f
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the shapes differ, a matrix is not symmetric, `norm` is not positive definite, or with
         ``seminorm=True`` one does not vanish on constants or `norm` vanishes on more than those.
 

@@ -129,6 +129,13 @@ def lifted_norm(space: SurfaceSpace, x: Array, onto: Lift, values: Array) -> flo
     -------
     float
 
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong type or shape, or values are not finite.
+    esfem_core.DegenerateElementError
+        If an element has no area or a position is not finite.
+
     Examples
     --------
     >>> import esfem_core as ec
@@ -167,7 +174,7 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If a point has no unique closest point, or is 1e8 radii of curvature away.
 
     Examples
@@ -206,7 +213,7 @@ def lift_operators(space: SurfaceSpace, x: Array, surface: ExactSurface) -> tupl
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If a quadrature point has no unique closest point.
 
     Examples

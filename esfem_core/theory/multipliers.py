@@ -105,12 +105,17 @@ def gammas(p: int, eta: float) -> Array:
     Parameters
     ----------
     p, eta
-        As for :func:`g_matrix`, which says what is refused.
+        As for :func:`g_matrix`.
 
     Returns
     -------
     (p+1,) float array
         ``gammas(p, eta)[i]`` belongs to v_i: the last one to the newest value.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As of :func:`g_matrix`.
 
     Examples
     --------
@@ -134,6 +139,12 @@ def circle_polynomial(delta: ArrayLike, mu: ArrayLike) -> Polynomial:
     numpy.polynomial.Polynomial
         F. If mu has no zero in the closed disc, delta/mu has positive real part in the open disc if
         and only if F is not zero and F >= 0 on [-1, 1].
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is no sequence of finite numbers, or the largest of them is not between 1e-100 and
+        1e100 in size.
 
     Examples
     --------
@@ -164,7 +175,7 @@ def gammas_of(delta: ArrayLike, mu: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the real part of delta/mu is negative somewhere on the unit circle, or may be: several
         double zeros of F within 1e-3 or so of each other are lost in rounding.
 
@@ -227,7 +238,7 @@ def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If Re(delta/mu) is not positive in the unit disc, or delta and mu have a common divisor.
 
     Examples

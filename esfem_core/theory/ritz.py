@@ -33,7 +33,7 @@ def prolongation(space: SurfaceSpace, fine: SurfaceSpace) -> csr_array:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the triangulations differ, or `fine` has the lower degree.
 
     Examples
@@ -91,7 +91,7 @@ def ritz_projection(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the two spaces do not belong together, the surface has several components, on each of
         which a constant is free, or an array has the wrong shape or is not finite.
 
