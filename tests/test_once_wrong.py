@@ -1,6 +1,7 @@
 """Small inputs that once gave a wrong answer, no answer or advice that could not help."""
 
 import itertools
+import math
 import threading
 import warnings
 
@@ -189,6 +190,92 @@ def test_exact_solutions_of_another_surface_or_motion_are_refused():
     still = ec.Exact(lambda p, t: p, lambda p, t: 0 * p)
     with pytest.raises(ValueError, match=r"exact must belong to the motion, but at t = 0\.1"):
         ec.evolve(space, ec.Problem(1.0, motion=lambda p, t: (1 + t) * p, exact=still), 1, 0.1, 0.2)
+
+
+def moved(x, v, step=0.1, end=1.0, size=1.0):
+    """Begin a run with exact positions and velocities on a sphere."""
+    tri = ec.sphere("octahedron", 1)
+    tri.apply_scale(size)
+    problem = ec.Problem(species={}, law=ec.laws.Prescribed(motion=x), exact=ec.Exact(x, v))
+    ec.evolve(ec.SurfaceSpace(tri), problem, 2, step, end)
+
+
+WRONG_VELOCITIES = {
+    "a field": (lambda p, t: np.exp(t) * p, lambda x, t: x),
+    "a rotating field": (
+        lambda p, t: np.c_[
+            p[:, :1] * np.cos(t) - p[:, 1:2] * np.sin(t),
+            p[:, :1] * np.sin(t) + p[:, 1:2] * np.cos(t),
+            p[:, 2:],
+        ],
+        lambda x, t: np.cross([0, 0, 1], x),
+    ),
+    "twice as large": (lambda p, t: (1 + t) * p, lambda p, t: 2 * p),
+    "none": (lambda p, t: (1 + t) * p, lambda p, t: 0 * p),
+    "of a surface at rest": (lambda p, t: p, lambda p, t: 1e-3 * p),
+    "none of a slow motion": (lambda p, t: (1 + 1e-4 * t) * p, lambda p, t: 0 * p),
+}
+
+
+@pytest.mark.parametrize(("x", "v"), WRONG_VELOCITIES.values(), ids=WRONG_VELOCITIES)
+def test_an_exact_velocity_that_is_not_that_of_the_positions_is_refused(x, v):
+    with pytest.raises(
+        ValueError, match=r"exact\.v must be the velocity d/dt .* points p of the initial surface"
+    ):
+        moved(x, v)
+
+
+RIGHT_VELOCITIES = {
+    "at rest but for rounding": (
+        lambda p, t: p * (np.sin(t) ** 2 + np.cos(t) ** 2),
+        lambda p, t: 0 * p,
+        {},
+    ),
+    "fast": (lambda p, t: p + np.sin(200 * t), lambda p, t: 200 * np.cos(200 * t) + 0 * p, {}),
+    "long": (
+        lambda p, t: p * (1 + np.sin(t) / 2),
+        lambda p, t: p * np.cos(t) / 2,
+        {"end": 1e5},
+    ),
+    "slow": (
+        lambda p, t: p * (1 + 1e-9 * t),
+        lambda p, t: p * 1e-9,
+        {"step": 1e7, "end": 1e9},
+    ),
+    "small": (lambda p, t: p * (1 + t), lambda p, t: p, {"size": 1e-6}),
+    "with a kink": (
+        lambda p, t: p * (1 + max(t - 0.382, 0)),
+        lambda p, t: p * (t > 0.382),
+        {},
+    ),
+    "with a kink and rest": (
+        lambda p, t: p * (1 + max(t - 0.62, 0)),
+        lambda p, t: p * (t > 0.62),
+        {},
+    ),
+    "only after the start": (
+        lambda p, t: p * (1 + math.sqrt(t) ** 3),
+        lambda p, t: p * 1.5 * math.sqrt(t),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("x", "v", "options"), RIGHT_VELOCITIES.values(), ids=list(RIGHT_VELOCITIES)
+)
+def test_an_exact_velocity_that_is_that_of_the_positions_is_taken(x, v, options):
+    moved(x, v, **options)
+
+
+def test_exact_velocities_are_not_asked_for_after_a_surface_has_vanished():
+    def radius(t):
+        return math.sqrt(1 - t)  # raises for t > 1
+
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    exact = ec.Exact(lambda p, t: radius(t) * p, lambda p, t: -p / (2 * radius(t)))
+    problem = ec.Problem(law=ec.laws.Regularised(beta=1.0), exact=exact)
+    ec.evolve(space, problem, 2, 0.1, 9.0, start="euler")
 
 
 def test_exact_solutions_refuse_no_times_and_do_not_integrate_for_ever():

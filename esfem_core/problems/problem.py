@@ -34,7 +34,7 @@ class Exact(_Functions):
     x : callable
         X(p, t): positions at time t, (n, 3), of points p, (n, 3), of the initial surface.
     v : callable
-        v(p, t): velocities, (n, 3), of the same points.
+        v(p, t) = d/dt X(p, t): velocities, (n, 3), of the same points p of the initial surface.
     u : callable, optional
         u(x, t): values (n,) or (n, m) of the species "u" at points x, (n, 3), of the surface at
         time t.

@@ -1,13 +1,15 @@
 """Whether motion, exact solution and slip belong to the surface that a run starts on."""
 
 import warnings
+from contextlib import suppress
+from itertools import product
 
 import numpy as np
 
 from esfem_core.checks import Array, finite_array, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
-from esfem_core.problems import Problem
+from esfem_core.problems import Exact, Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
 
@@ -34,6 +36,9 @@ NOT_ON_IT = (
     "; SurfaceSpace(tri, degree, project) puts nodes on a surface, and new triangles know the "
     "initial one by remeshed(states, h, problem)"
 )
+SPEED = 1e-3  # how far, relative to the largest, exact velocities may be from d/dt exact.x
+LOOKED_AT = (0.382, 0.618)  # shares of a run: a kink or a turning point is hardly at both
+WITHIN = (1 / 8, 1 / 1000)  # of a step, to both sides: little rounding, or motions that are fast
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
 
 
@@ -124,8 +129,8 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
         )
 
 
-def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
-    """Refuse an exact solution of another surface, or of another motion than the prescribed one.
+def check_exact(space: SurfaceSpace, problem: Problem, t: float, end: float) -> None:
+    """Refuse an exact solution of another surface or motion, or with another velocity than its own.
 
     Parameters
     ----------
@@ -133,7 +138,9 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
     problem : Problem
         With an exact solution.
     t : float
-        When to compare it with a prescribed motion.
+        When to compare it with a prescribed motion: after the first step.
+    end : float
+        Of the run, within which its velocity is compared with its positions.
 
     Raises
     ------
@@ -152,6 +159,46 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float) -> None:
                 f"{wanted[node].tolist()} and the motion has {x[node].tolist()} for the node p = "
                 f"{nodes[node].tolist()}"
             )
+    _check_exact_velocity(exact, nodes, t, end)
+
+
+def _check_exact_velocity(exact: Exact, nodes: Array, step: float, end: float) -> None:
+    """Refuse an exact velocity that is nowhere near the difference quotients of the positions.
+
+    One time at which nodes move as v says is enough, since at another the motion may have a kink.
+    Where `exact` is not defined, after a surface has vanished, nothing is compared.
+
+    Raises
+    ------
+    ValueError
+    """
+    size = float(np.abs(nodes - nodes.mean(axis=0)).max())
+    rounding = 1e-14 * float(np.abs(nodes).max())
+    found = {}
+    for t, d in product((share * end for share in LOOKED_AT if end > 0), WITHIN):
+        with np.errstate(all="ignore"), suppress(ArithmeticError, ValueError):
+            before, after = t - d * step, t + d * step
+            v, x, y = (
+                finite_array("exact", given(nodes.copy(), s), nodes.shape)
+                for given, s in ((exact.v, t), (exact.x, before), (exact.x, after))
+            )
+            rate = (y - x) / (after - before)
+            off = np.linalg.norm(v - rate, axis=1)
+            speed = max(np.linalg.norm(w, axis=1).max() for w in (v, rate))
+            least = LATER * size / end + rounding / (d * step)
+            node = int(np.argmax(off))
+            if off[node] > SPEED * speed + least:
+                found[t] = nodes[node].tolist(), v[node].tolist(), rate[node].tolist()
+            elif speed > least:
+                return
+            else:
+                found.pop(t, None)
+    for t, (p, given, wanted) in found.items():
+        raise ValueError(
+            f"exact.v must be the velocity d/dt exact.x(p, t), but at t = {t:.3g} exact.v(p, t) = "
+            f"{given} and exact.x moves with {wanted} for the node p = {p}: like exact.x, "
+            "v(p, t) is given points p of the initial surface, not where they are at t"
+        )
 
 
 def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:

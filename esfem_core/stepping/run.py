@@ -261,7 +261,7 @@ def evolve(
     first = given[-1] if isinstance(given, list) else initial_state(space, problem)
     _check_fixed(scheme, first)
     if isinstance(given, str) and problem.exact is not None:
-        check_exact(space, problem, step)
+        check_exact(space, problem, step, end)
     if given == "exact":
         check_exact_functions(space, problem, first)
     check_precision(problem.law, first)
