@@ -143,8 +143,8 @@ def run(
     larger goes on. A case is what its parameters are, in whatever order; a row is out of date when
     the code that its case reaches has changed, and what it uses besides its parameters: numbers,
     arrays, spaces, triangulations, attributes of its own objects (see
-    :func:`esfem_core.study.user_code.code_of`). A case that fails, or whose process dies twice,
-    is reported, and the others go on.
+    :func:`esfem_core.study.user_code.code_of`), but not contents of files (see Notes). A case
+    that fails, or whose process dies twice, is reported, and the others go on.
 
     Parameters
     ----------
@@ -211,6 +211,9 @@ def run(
     Objects of other packages that cannot be pickled, such as a factorisation of CHOLMOD, make them
     so in every run: make these in `compute`.
 
+    Contents of files do not count: a case that reads a file whose contents have changed is found as
+    it was. A checksum among its parameters makes it a case anew.
+
     Examples
     --------
     >>> import tempfile
@@ -226,6 +229,23 @@ def run(
     >>> _ = run(grid(side=(2, 3)), square, folder, workers=0, progress=print)
     1/2 square: side=2: found
     2/2 square: side=3: ...
+
+    Cases of a mesh in a file, which are others when the file is another:
+
+    >>> import hashlib
+    >>> import esfem_core as ec
+    >>> path = Path(folder, "ball.ply")
+    >>> def area(path, checksum):
+    ...     return {"area": ec.read_mesh(path, report=None).area}
+    >>> for radius in (1, 2):
+    ...     ball = ec.sphere("icosahedron", 2)
+    ...     _ = ball.apply_scale(radius).export(path)
+    ...     checksum = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    ...     cases = [{"path": str(path), "checksum": checksum}]
+    ...     [row] = run(cases, area, folder, workers=0, progress=False).rows
+    ...     print(f"{row.results['area']:.1f}")
+    12.3
+    49.3
     """
     if not (callable(progress) or isinstance(progress, bool)):
         raise TypeError(

@@ -1,10 +1,12 @@
 """Studies of many cases, computed in this process: what is kept, found, renewed and refused."""
 
 import functools
+import hashlib
 import json
 import re
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,6 +49,25 @@ def test_a_larger_study_computes_what_is_new_only(tmp_path):
     assert [line.rpartition(": ")[2] for line in lines] == ["found", "0.0 s"]
     assert [row.results["error"] for row in results.rows] == [0.35, 0.85]
     assert len(read(tmp_path / "power.jsonl")) == 3
+
+
+def test_a_checksum_makes_a_case_of_a_changed_file_anew(tmp_path):
+    file = tmp_path / "numbers.txt"
+
+    def compute(name, **_):
+        return {"sum": sum(map(int, Path(name).read_text().split()))}
+
+    def sums(**more):
+        return [row.results["sum"] for row in study(tmp_path, [more], compute)[0].rows]
+
+    def checksum():
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+
+    file.write_text("1 2")
+    assert sums(name=str(file)) == sums(name=str(file), checksum=checksum()) == [3]
+    file.write_text("3 4")
+    assert sums(name=str(file)) == [3]  # contents do not count
+    assert sums(name=str(file), checksum=checksum()) == [7]
 
 
 def test_a_failing_case_ends_its_chain_and_no_other(tmp_path):
