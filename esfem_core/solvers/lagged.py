@@ -153,9 +153,10 @@ class LaggedSolver:
             x, converged = self._iterate(self._factor, A, rows, x, allowed)
         if not converged:
             raise np.linalg.LinAlgError(
-                f"no solution to a relative residual of {self.rtol:g} in price = {self.price} "
-                "iterations with a new factorisation, the last one by SuperLU: A must be symmetric "
-                "and positive definite, but is not, or is so in more digits than there are"
+                f"no solution to a relative residual of {self.rtol:g} in {self.price} iterations "
+                "(the price of LaggedSolver), not even with a new factorisation by SuperLU: A must "
+                "be symmetric and positive definite, but is not, or its condition number is too "
+                "large for double precision"
             )
         _require_solved_rows(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)

@@ -121,8 +121,8 @@ def require_small_residual(A: csr_array, b: Array, x: Array) -> None:
     if not share <= RESIDUAL:
         raise np.linalg.LinAlgError(
             f"no solution: x has a relative residual of {share:.2g} (allowed: {RESIDUAL:g}); A "
-            "must be symmetric and positive definite, but is not, or is so in more digits than "
-            "there are"
+            "must be symmetric and positive definite, but is not, or its condition number is too "
+            "large for double precision"
         )
     require_solved(b, r)
 

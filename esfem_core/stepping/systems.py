@@ -116,7 +116,7 @@ class Systems:
                 w = real_array("what the solver returns", w, b.shape)
                 require_small_residual(K, b, w)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
-            raise np.linalg.LinAlgError(f"the linear system of {kind}: {error}") from error
+            raise np.linalg.LinAlgError(f"{_described(kind)}: {error}") from error
         return w
 
     def solve_again(self, kind: str, K: csr_array, b: Array) -> Array:
@@ -151,6 +151,15 @@ class Systems:
             )
         np.add.at(full.data, at, entries.data)
         return full
+
+
+def _described(kind: str) -> str:
+    """The linear system of a kind, in words."""
+    law, _, number = kind.partition(" ")
+    if law != "law" or not number.isdecimal():
+        return f"the linear system of {kind}"
+    which = ("first", "second", "third")[int(number) - 1] if int(number) < 4 else f"{number}th"
+    return f"the linear system of {kind}, the {which} that the law solves in a step"
 
 
 def _checked_solver(solver: Solver) -> Solver:

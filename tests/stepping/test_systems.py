@@ -206,7 +206,7 @@ def test_right_hand_sides_are_stacked_and_taken_apart():
 @pytest.mark.parametrize(
     ("problem", "system"),
     [
-        ({"alpha": 1.7e308}, "law 1"),
+        ({"alpha": 1.7e308}, "law 1, the first that the law solves in a step"),
         ({"u0": 1.0, "diffusivity": 1e200, "motion": lambda p, _: p}, "u"),
     ],
     ids=["law", "species"],
