@@ -181,7 +181,8 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
         ``start="euler"``, and of the errors that of u is ``state.u - exact.u(state.x, t)``.
     w : callable or {"elastic", "harmonic"}
         ``w(at)`` on a :class:`esfem_core.Surface`: (N, 3), the tangential velocity of the nodes
-        against the particles. A normal part would move the surface. It is explicit, with the
+        against the particles. A normal part would move the surface: normals at the nodes, to take
+        it out, are those of :func:`esfem_core.elements.nodal_average`. It is explicit, with the
         largest steps that :class:`esfem_core.Species` states for transport. "elastic" keeps angles
         and sizes of the triangles near those at the start, "harmonic" angles only: ``Elastic()``
         and ``Elastic(area=0)``, see there.
@@ -210,6 +211,19 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
     True
     >>> print(f"{abs(last.u - np.exp(-2 * last.t) * last.x[:, 0]).max():.0e}")
     9e-06
+
+    The tangential part of a field, with normals at the nodes:
+
+    >>> from esfem_core.elements import nodal_average
+    >>> def w(at):
+    ...     nu = nodal_average(at, at.normal)
+    ...     nu /= np.linalg.norm(nu, axis=1, keepdims=True)
+    ...     field = np.array([0, 0, 0.1]) + 0 * at.x
+    ...     return field - (field * nu).sum(axis=1, keepdims=True) * nu
+    >>> problem = ec.Problem(species={}, law=ec.laws.with_slip(law.law, w))
+    >>> *_, last = ec.evolve(space, problem, order=2, step=0.05, end=1.0)
+    >>> bool(abs(np.linalg.norm(last.x, axis=1) - 1).max() < 1e-3)
+    True
     """
     check_law(law)
     check_no_slip(law, "add the two velocities to one")

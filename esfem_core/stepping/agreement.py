@@ -287,11 +287,12 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
     """
     if not hasattr(law, "slip"):
         return
-    w = getattr(law, "w", None)
-    if isinstance(w, Elastic) and step > (most := w.largest_step(order)):
+    given = getattr(law, "w", None)
+    if isinstance(given, Elastic) and step > (most := given.largest_step(order)):
         warnings.warn(
-            f"the step must be below {most:.3g} with the slip {w!r}, which is explicit, for order "
-            f"{order}, got {step:g}: with more, nodes run away; a smaller rate allows longer steps",
+            f"the step must be below {most:.3g} with the slip {given!r}, which is explicit, for "
+            f"order {order}, got {step:g}: with more, nodes run away; a smaller rate allows longer "
+            "steps",
             EvolutionWarning,
             stacklevel=3,
         )
@@ -303,10 +304,20 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
     normal = nodal_average(at, at.normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     share = float(np.linalg.norm((w * normal).sum(axis=1)) / (np.linalg.norm(w) or 1.0))
-    if share > NORMAL:
+    if share > NORMAL and isinstance(given, Elastic):
+        warnings.warn(
+            f"of the slip {given!r} at the start {share:.0%} is normal to the mesh: its nodes run "
+            "away, since the step is too long for this slip, or the normal that the law evolves is "
+            "far from that of the mesh; start before that, with a smaller step or rate",
+            EvolutionWarning,
+            stacklevel=3,
+        )
+    elif share > NORMAL:
         warnings.warn(
             f"the slip w must be tangential, but {share:.0%} of it is normal: it moves the surface "
-            "and not only its nodes; w - (w . nu) nu leaves the tangential part",
+            "and not only its nodes; w - (w . nu) nu leaves the tangential part, with normals nu "
+            "at the nodes from esfem_core.elements.nodal_average(at, at.normal), each divided by "
+            "its length",
             EvolutionWarning,
             stacklevel=3,
         )

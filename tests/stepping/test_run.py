@@ -570,3 +570,36 @@ def test_a_slip_with_a_normal_part_is_warned_of_once():
     with pytest.warns(ec.EvolutionWarning, match="the slip w must be tangential") as warned:
         list(ec.evolve(space, ec.Problem(law=law), 1, 0.01, 0.03))
     assert len(warned) == 1
+
+
+@pytest.mark.filterwarnings("error::esfem_core.EvolutionWarning")
+def test_the_advice_for_a_slip_with_a_normal_part_works():
+    space = ec.SurfaceSpace(ec.torus(1.0, 0.4, 16, 8))
+
+    def w(at):
+        return 0.1 * at.x
+
+    def tangential(at):
+        nu = ec.elements.nodal_average(at, at.normal)
+        nu /= np.linalg.norm(nu, axis=1, keepdims=True)
+        return w(at) - (w(at) * nu).sum(axis=1, keepdims=True) * nu
+
+    law = ec.laws.Regularised()
+    with pytest.warns(
+        ec.EvolutionWarning, match=r"esfem_core\.elements\.nodal_average\(at, at\.normal\)"
+    ):
+        ec.evolve(space, ec.Problem(law=ec.laws.with_slip(law, w)), 1, 0.01, 0.03)
+    ec.evolve(space, ec.Problem(law=ec.laws.with_slip(law, tangential)), 1, 0.01, 0.03)
+
+
+def test_a_built_in_slip_whose_nodes_run_away_is_not_told_to_be_tangential():
+    tri = ec.sphere("octahedron", 2)
+    law = ec.laws.with_slip(ec.laws.MeanCurvature(), "elastic")
+    space = ec.SurfaceSpace(tri, 1)
+    x = space.nodes * [1, 1, 1.3]
+    skew = x + np.random.default_rng(0).normal(size=x.shape)
+    fields = {"normal": skew, "H": np.ones(len(x))}
+    start = [ec.State(0.0, x, None, space=space, fields=fields)]
+    with pytest.warns(ec.EvolutionWarning, match="nodes run away") as warned:
+        ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.01, 0.1, start=start)
+    assert not any("tangential" in str(one.message) for one in warned)
