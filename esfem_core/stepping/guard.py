@@ -112,7 +112,8 @@ class Guard:
             element = int(np.argmin(turn))
             raise DegenerateElementError(
                 f"element {element} near {self._place(x, element)} has turned over: its normal "
-                "changed by more than a right angle within a step",
+                "changed by more than a right angle within a step; a smaller step, or a smaller "
+                "rate of a slip, laws.Elastic(rate=...), may help",
                 element,
             )
 

@@ -354,7 +354,8 @@ def _not_turned(at: Surface, previous: Array | None) -> Array:
             element = int(np.argmax(turned.any(axis=1)))
             raise ElementError(
                 f"element {element} has turned over: its normal changed by more than a right "
-                "angle within a step",
+                "angle within a step; a smaller step, or a smaller rate of a slip, "
+                "laws.Elastic(rate=...), may help",
                 element,
             )
     return at.normal.astype(np.float32)
