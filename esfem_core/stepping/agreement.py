@@ -179,8 +179,8 @@ def _check_exact_velocity(exact: Exact, nodes: Array, step: float, end: float) -
         with np.errstate(all="ignore"), suppress(ArithmeticError, ValueError):
             before, after = t - d * step, t + d * step
             v, x, y = (
-                finite_array("exact", given(nodes.copy(), s), nodes.shape)
-                for given, s in ((exact.v, t), (exact.x, before), (exact.x, after))
+                finite_array(f"exact.{name}", getattr(exact, name)(nodes.copy(), s), nodes.shape)
+                for name, s in (("v", t), ("x", before), ("x", after))
             )
             rate = (y - x) / (after - before)
             off = np.linalg.norm(v - rate, axis=1)
