@@ -30,6 +30,7 @@ __all__ = [
     "fans",
     "fault",
     "flat_triangles",
+    "of_elements",
 ]
 
 # Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
@@ -45,6 +46,8 @@ ROUNDING = 1e-14
 TURNING = (
     "tri.faces = ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True).cells turns"
 )
+
+DEGREES = range(2, 13)  # of curved elements; as many as the elements of this package have
 
 FARTHEST = 1e75  # largest coordinate; the fourth power of a length must be a float
 SMALLEST = 1e-70  # size of a surface, likewise, with edges of a thousandth of it and all digits
@@ -98,7 +101,7 @@ class Fault(NamedTuple):
 def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
-    Looked for in this order: triangles; finite vertices, each in some triangle; triangles with
+    Looked for in this order: triangles, not curved elements cut into some; finite vertices, each in some triangle; triangles with
     three different corners and an area; every edge in two triangles, and open ones not in pairs at
     one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
@@ -131,7 +134,8 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         )
     sides = sides_of(faces)
     return (
-        _of_vertices(vertices, faces)
+        of_elements(vertices, faces)
+        or _of_vertices(vertices, faces)
         or _of_triangles(vertices, faces)
         or _of_edges(vertices, faces, sides, boundary)
         or _of_seams(vertices, faces, sides)
@@ -205,12 +209,29 @@ def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
     return None
 
 
-def _of_elements(vertices: Array, faces: Ints) -> Fault | None:
+def of_elements(vertices: Array, faces: Ints) -> Fault | None:
     """Curved elements that trimesh has cut into triangles around their first corner.
 
-    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end.
+    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end. Mended as
+    triangles they would become another surface.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float array
+    faces : (T, 3) int array
+        They may name vertices that there are not.
+
+    Examples
+    --------
+    >>> nodes = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    >>> of_elements(nodes, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])).text
+    'the triangles are fans of 4, as trimesh cuts rows of 6 numbers'
     """
-    for degree, nodes in ((2, 6), (3, 10), (4, 15)):
+    known = ((faces >= 0) & (faces < len(vertices))).all()
+    if not known or (sides_of(faces).times == 2).all():
+        return None
+    for degree in DEGREES:
+        nodes = (degree + 1) * (degree + 2) // 2
         if len(faces) % (nodes - 2):
             continue
         cut = faces.reshape(-1, nodes - 2, 3)
@@ -261,8 +282,6 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
 
 
 def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fault | None:
-    if (sides.times != 2).any() and (elements := _of_elements(vertices, faces)):
-        return elements
     rim, many = (sides.times == 1) & (not boundary), sides.times > 2
     # A fin has wrong edges of both kinds: to close the surface would be the wrong advice.
     at_rim, at_many = (wrong.reshape(-1, 3).any(axis=1) for wrong in (rim, many))

@@ -19,6 +19,7 @@ from esfem_core.surfaces.faults import (
     fans,
     fault,
     flat_triangles,
+    of_elements,
 )
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
@@ -121,6 +122,8 @@ def repair(
         if report is not None:
             report("nothing to repair")
         return tri.copy()
+    if elements := of_elements(vertices, faces):
+        raise ValueError(f"tri cannot be repaired: {elements.text}; {elements.advice}")
     result = repaired(vertices, faces, holes)
     if report is not None:
         for step in result.steps:

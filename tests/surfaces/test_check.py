@@ -12,6 +12,7 @@ from broken_meshes import BROKEN, SPHERE, half, joined, klein_bottle, mesh, soup
 from scipy.spatial import ConvexHull
 
 import esfem_core as ec
+from esfem_core.elements.lagrange import MOST_DEGREE
 from esfem_core.surfaces.orientation import components, shells, sides_of, turned_to_outside
 
 
@@ -223,6 +224,22 @@ def test_curved_elements_are_shown_their_door():
     space = ec.SurfaceSpace(SPHERE, 2, ec.to_unit_sphere)
     text = message(trimesh.Trimesh(space.nodes, space.cells))
     assert text.endswith("ec.SurfaceSpace.from_nodes(nodes, cells)")
+
+
+@pytest.mark.parametrize("degree", range(2, MOST_DEGREE + 1))
+def test_flat_elements_of_every_degree_are_not_made_another_surface(degree):
+    """Cut into triangles some are flat; a repair of these had twice the area and was accepted."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0), degree)
+    tri = trimesh.Trimesh(space.nodes, space.cells, process=False)
+    for refuse in (
+        ec.check_triangulation,
+        lambda tri: ec.check_triangulation(tri, boundary=True),
+        lambda tri: ec.repair(tri, report=None),
+    ):
+        with pytest.raises(
+            ValueError, match=r"fans .* ec\.SurfaceSpace\.from_nodes\(nodes, cells\)"
+        ):
+            refuse(tri)
 
 
 def test_only_trimesh_is_taken_and_the_conversion_is_said():
