@@ -24,6 +24,7 @@ from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeat
 __all__ = [
     "FARTHEST",
     "FLATTEST",
+    "NO_SIDES",
     "SMALLEST",
     "Fault",
     "check_is_trimesh",
@@ -46,6 +47,8 @@ ROUNDING = 1e-14
 TURNING = (
     "tri.faces = ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True).cells turns"
 )
+
+NO_SIDES = "the surface is not orientable"  # how that fault begins
 
 DEGREES = range(2, 13)  # of curved elements; as many as the elements of this package have
 
@@ -101,8 +104,8 @@ class Fault(NamedTuple):
 def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
-    Looked for in this order: triangles, not curved elements cut into some; finite vertices, each in some triangle; triangles with
-    three different corners and an area; every edge in two triangles, and open ones not in pairs at
+    Looked for in this order: triangles, not curved elements cut into some; finite vertices, each
+    in some triangle; triangles with three different corners and an area; every edge in two triangles, and open ones not in pairs at
     one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
     oriented outwards, or inwards if it is a cavity; no triangle lying on its neighbour.
@@ -212,8 +215,8 @@ def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
 def of_elements(vertices: Array, faces: Ints) -> Fault | None:
     """Curved elements that trimesh has cut into triangles around their first corner.
 
-    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end. Mended as
-    triangles they would become another surface.
+    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end. Mended
+    as triangles they would become another surface.
 
     Parameters
     ----------
@@ -348,7 +351,7 @@ def _of_orientation(faces: Ints) -> Fault | None:
     if orientable.all():
         return None
     return Fault(
-        "the surface is not orientable: a way around it, as on a Möbius strip or a Klein bottle, "
+        f"{NO_SIDES}: a way around it, as on a Möbius strip or a Klein bottle, "
         f"comes back to triangle {np.argmin(orientable)} from behind",
         "it has no inside and no normal, which the equations need: take an orientable surface",
     )

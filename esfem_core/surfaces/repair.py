@@ -13,6 +13,7 @@ import trimesh
 from esfem_core.checks import Array, Bools, Ints, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
+    NO_SIDES,
     SMALLEST,
     Fault,
     check_is_trimesh,
@@ -118,7 +119,8 @@ def repair(
         function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
     check_coordinates("tri", vertices, faces)
-    if fault(vertices, faces) is None:
+    found = fault(vertices, faces)
+    if found is None:
         if report is not None:
             report("nothing to repair")
         return tri.copy()
@@ -130,9 +132,11 @@ def repair(
             report(step)
     left = fault(result.vertices, result.faces)
     if left is not None:
-        raise ValueError(
-            f"tri cannot be repaired: {left.text}; {_next(vertices, faces, left, holes)}"
-        )
+        if found.text.startswith(NO_SIDES):
+            left, advice = found, found.advice
+        else:
+            advice = _next(vertices, faces, left, holes)
+        raise ValueError(f"tri cannot be repaired: {left.text}; {advice}")
     made = trimesh.Trimesh(result.vertices, result.faces, process=False, metadata=tri.metadata)
     if tri.units is not None:  # trimesh makes text of None
         made.units = tri.units
@@ -212,6 +216,8 @@ def remedy(vertices: Array, faces: Ints, found: Fault) -> str:
     left = fault(result.vertices, result.faces)
     if left is None:
         return f"tri = ec.repair(tri) helps ({', '.join(result.steps)})"
+    if found.text.startswith(NO_SIDES):
+        return found.advice  # whatever is left: no lid gives it an inside
     same = left.text.split(":")[0] == found.text.split(":")[0]
     rest = "" if same else f"ec.repair is not enough: then {left.text}; "
     return rest + _next(vertices, faces, left, HOLE)

@@ -111,6 +111,16 @@ def test_a_klein_bottle_is_called_not_orientable():
     assert "repair" not in text
 
 
+@pytest.mark.parametrize("missing", [1, 2, 4])
+def test_a_klein_bottle_with_a_hole_is_not_told_to_be_closed(missing):
+    whole = klein_bottle()
+    tri = mesh(whole.vertices, whole.faces[:-missing])
+    for refuse in (ec.check_triangulation, lambda tri: ec.repair(tri, report=None)):
+        with pytest.raises(ValueError, match=r"is not orientable.*take an orientable") as error:
+            refuse(tri)
+        assert "close" not in str(error.value)
+
+
 def test_a_moebius_strip_is_not_told_to_be_closed():
     """Closed by any lid, it is a surface without an inside."""
     n = 20
