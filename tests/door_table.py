@@ -217,7 +217,7 @@ def doors() -> list[Door]:
         Door("smooth", ec.smooth, {"tri": one(tri), "crease": number(50.0, -1, 181)}),
         Door("mesh_quality", ec.mesh_quality, {"tri": one(tri)}),
         Door("repair", lambda tri=tri, **o: ec.repair(tri, **{"report": None, **o}),
-             {"tri": one(tri), "holes": whole(12, -1),
+             {"tri": one(tri), "holes": whole(12, -1), "boundary": flag(False),
               "report": function(lambda text: None, optional=True)}),
         Door("read_mesh", lambda source, **o: ec.read_mesh(source, **{"report": None, **o}),
              {"source": Argument(tri, "listed", [None, 1, 1.5, [], {}, "", "/no/such/file.stl",

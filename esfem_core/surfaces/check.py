@@ -55,8 +55,8 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     found = fault(vertices, faces, boundary)
     if found is None:
         return
-    if boundary:  # a repair would close it
-        raise ValueError(f"{found.text}; {found.advice}")
+    if boundary:
+        raise ValueError(f"{found.text}; {remedy(vertices, faces, found, boundary=True)}")
     advice = remedy(vertices, faces, found) + boundary_advice(vertices, faces)
     if found.text.startswith("the surface is not closed"):
         advice += _seam_advice(vertices, faces)

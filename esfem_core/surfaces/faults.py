@@ -105,8 +105,8 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
     Looked for in this order: triangles, not curved elements cut into some; finite vertices, each
-    in some triangle; triangles with three different corners and an area; every edge in two triangles, and open ones not in pairs at
-    one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
+    in some triangle; triangles with three different corners and an area; every edge in two
+    triangles, and open ones not in pairs at one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
     V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
     oriented outwards, or inwards if it is a cavity; no triangle lying on its neighbour.
 
@@ -215,8 +215,8 @@ def _of_vertices(vertices: Array, faces: Ints) -> Fault | None:
 def of_elements(vertices: Array, faces: Ints) -> Fault | None:
     """Curved elements that trimesh has cut into triangles around their first corner.
 
-    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end. Mended
-    as triangles they would become another surface.
+    Node 3 of an element of degree k lies near its edge from 0 to 1, k - 1 parts from the end.
+    Mended as triangles they would become another surface.
 
     Parameters
     ----------

@@ -4,13 +4,14 @@ Each step takes vertices (n, 3) and triangles (T, 3), changes as little as it ca
 it did. A mesh without a fault is left as it is.
 """
 
+import re
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
-from esfem_core.checks import Array, Bools, Ints, function, whole_number
+from esfem_core.checks import Array, Bools, Ints, flag, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
     NO_SIDES,
@@ -52,7 +53,10 @@ FLIPS = 10  # sweeps over flat triangles
 
 
 def repair(
-    tri: trimesh.Trimesh, holes: int = HOLE, report: Callable[[str], object] | None = print
+    tri: trimesh.Trimesh,
+    holes: int = HOLE,
+    report: Callable[[str], object] | None = print,
+    boundary: bool = False,
 ) -> trimesh.Trimesh:
     """Make a triangulation fit for a :class:`esfem_core.SurfaceSpace`.
 
@@ -84,6 +88,8 @@ def repair(
         Edges of the largest hole that is filled, 0 for none.
     report : callable, optional
         Is told each thing that was done, in a line of text.
+    boundary : bool
+        Whether larger holes may stay, for a space with ``boundary=True``.
 
     Returns
     -------
@@ -118,8 +124,9 @@ def repair(
     if report is not None:
         function("report", report, "of a line of text, or None")
     vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
+    flag("boundary", boundary)
     check_coordinates("tri", vertices, faces)
-    found = fault(vertices, faces)
+    found = fault(vertices, faces, boundary)
     if found is None:
         if report is not None:
             report("nothing to repair")
@@ -130,10 +137,12 @@ def repair(
     if report is not None:
         for step in result.steps:
             report(step)
-    left = fault(result.vertices, result.faces)
+    left = fault(result.vertices, result.faces, boundary)
     if left is not None:
         if found.text.startswith(NO_SIDES):
             left, advice = found, found.advice
+        elif boundary:
+            advice = left.advice
         else:
             advice = _next(vertices, faces, left, holes)
         raise ValueError(f"tri cannot be repaired: {left.text}; {advice}")
@@ -208,15 +217,19 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
     return Repaired(vertices, faces, steps)
 
 
-def remedy(vertices: Array, faces: Ints, found: Fault) -> str:
-    """What a person can do about a fault: the advice has been tried."""
-    if not found.repairable:
+def remedy(vertices: Array, faces: Ints, found: Fault, boundary: bool = False) -> str:
+    """What a person can do about a fault: the advice has been tried.
+
+    A surface that is meant to be open keeps its holes, and has less done to it by advice in code.
+    """
+    if not found.repairable or (boundary and re.search(r"\btri(\.| = )", found.advice)):
         return found.advice
-    result = repaired(vertices, faces)
-    left = fault(result.vertices, result.faces)
+    result = repaired(vertices, faces, 0 if boundary else HOLE)
+    left = fault(result.vertices, result.faces, boundary)
     if left is None:
-        return f"tri = ec.repair(tri) helps ({', '.join(result.steps)})"
-    if found.text.startswith(NO_SIDES):
+        call = "tri, holes=0, boundary=True" if boundary else "tri"
+        return f"tri = ec.repair({call}) helps ({', '.join(result.steps)})"
+    if boundary or found.text.startswith(NO_SIDES):
         return found.advice  # whatever is left: no lid gives it an inside
     same = left.text.split(":")[0] == found.text.split(":")[0]
     rest = "" if same else f"ec.repair is not enough: then {left.text}; "

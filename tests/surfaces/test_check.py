@@ -311,6 +311,36 @@ def test_advice_for_a_surface_with_a_boundary_works_to_the_letter_and_leaves_it_
     assert len(ec.SurfaceSpace(tri, boundary=True).boundary_nodes) == rim
 
 
+def longitudes_and_latitudes():
+    """A northern half with triangles of no area at the pole, and a seam."""
+    a, b = np.meshgrid(np.linspace(0, np.pi / 2, 5), np.linspace(0, 2 * np.pi, 17), indexing="ij")
+    x = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], axis=-1)
+    i = np.arange(85).reshape(5, 17)
+    p, q, r, s = (part.ravel() for part in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    return mesh(x.reshape(-1, 3), np.vstack([np.stack([p, q, r], 1), np.stack([p, r, s], 1)]))
+
+
+def with_a_needle():
+    tri = half()
+    a, b, c = tri.faces[0]
+    x = np.array(tri.vertices)
+    x[a] = (x[b] + x[c]) / 2
+    return mesh(x, tri.faces)
+
+
+@pytest.mark.parametrize("make", [longitudes_and_latitudes, with_a_needle])
+def test_degenerate_triangles_of_an_open_surface_go_by_the_advice_and_it_stays_open(make):
+    tri = make()
+    with pytest.raises(ValueError, match="is degenerate") as error:
+        ec.SurfaceSpace(tri, 1, boundary=True)
+    advice = re.search(r"(tri = ec\.repair\(tri[^)]*\)) helps", str(error.value))
+    exec(advice[1], names := {"ec": ec, "tri": tri})
+    space = ec.SurfaceSpace(names["tri"], 1, boundary=True)
+    area, before = space.mass_stiffness(space.nodes)[0].sum(), tri.area
+    assert area == pytest.approx(before, rel=1e-12)
+    assert (sides_of(space.cells).times == 1).any()
+
+
 def test_messages_and_repairs_need_numpy_scipy_and_trimesh_only():
     code = """
 import sys
