@@ -106,9 +106,10 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
 
     Looked for in this order: triangles, not curved elements cut into some; finite vertices, each
     in some triangle; triangles with three different corners and an area; every edge in two
-    triangles, and open ones not in pairs at one place; neighbours oriented alike; triangles around a vertex forming one fan, so that
-    V - E + F = 2 (components - handles); each component enclosing a volume, at a place of its own,
-    oriented outwards, or inwards if it is a cavity; no triangle lying on its neighbour.
+    triangles, and open ones not in pairs at one place; neighbours oriented alike; triangles around
+    a vertex forming one fan, so that V - E + F = 2 (components - handles); each component enclosing
+    a volume, at a place of its own, oriented outwards, or inwards if it is a cavity; no triangle
+    lying on its neighbour.
 
     Parameters
     ----------

@@ -88,6 +88,7 @@ def project_to_level_set(d: Field, gradient: Field | None = None) -> Field:
         return with_its_gradient(d, gradient, size, lambda x: _closest(d, slope, x), x)
 
     def project_alike(x: Array) -> Array:
+        _check_precision(d, checked_gradient(d, gradient), x)
         size = size_of(d, x)
         try:
             return with_size(size, x)
@@ -124,7 +125,7 @@ def _closest(d: Field, slope: Field, x: Array) -> Array:
     raise ValueError(
         f"points must be near the surface, but no closest point was found for "
         f"{x[todo[0]].tolist()} ({len(todo)} such points): it is too far from the surface for "
-        "its curvature"
+        "its curvature, or the gradient is computed in single precision"
     )
 
 
@@ -317,6 +318,21 @@ def _descend(d: Field, gradient: Field, start: Array) -> Array:
     )
 
 
+def _check_precision(d: Field, gradient: Field, x: Array) -> None:
+    """Refuse a d that computes in single precision: Newton's method may stop at its jitter.
+
+    A few points will do, where the gradient is large enough for a d of double precision to change.
+    """
+    if len(x) == 0:
+        return
+    some = _some(x)
+    values = checked_values(d, some, (), "d")
+    slope = np.linalg.norm(checked_values(gradient, some, (3,), "gradient"), axis=1)
+    seen = STEP_OF_SINGLE * _scale(some) * slope > 100 * np.spacing(np.abs(values))
+    if seen.any() and _in_steps(d, some[seen], values[seen]):
+        raise ValueError(_in_single_precision("numbers of single precision"))
+
+
 def _in_steps(d: Field, x: Array, values: Array) -> bool:
     """Whether d stays the same next to most points, as functions in single precision do."""
     moved = x + STEP_OF_SINGLE * _scale(x) * DIRECTIONS[:, None]
@@ -341,11 +357,11 @@ def _by_distance(function: Field, x: Array) -> Array:
     return y
 
 
-def _in_single_precision(found: str) -> str:
+def _in_single_precision(found: str, name: str = "d") -> str:
     return (
-        f"values of d must be of double precision, got {found}: they jitter by 1e-7, and no point "
-        "can be put on the surface to 1e-13 with them; d gets points of type float64 and must "
-        "compute in it"
+        f"values of {name} must be of double precision, got {found}: they jitter by 1e-7, and no "
+        f"point can be put on the surface to 1e-13 with them; {name} gets points of type float64 "
+        "and must compute in it"
     )
 
 
@@ -389,8 +405,8 @@ def _scale(x: Array) -> float:
 def checked_values(given: Field, x: Array, shape: tuple[int, ...], name: str) -> Array:
     """Values of a user's function, refused unless they are of the right shape and have squares."""
     returned = given(x.copy())
-    if name == "d" and getattr(returned, "dtype", None) in (np.float32, np.float16):
-        raise ValueError(_in_single_precision(str(returned.dtype)))
+    if getattr(returned, "dtype", None) in (np.float32, np.float16):
+        raise ValueError(_in_single_precision(str(returned.dtype), name))
     # A copy: the function may return one array each time.
     values = np.array(real_array(f"values of {name}", returned, (len(x), *shape)))
     bad = ~(np.abs(values) <= LARGEST).all(axis=tuple(range(1, values.ndim)))

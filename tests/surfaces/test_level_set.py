@@ -275,3 +275,35 @@ def test_what_cannot_be_projected_is_refused_with_the_point(name):
     d, x, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         ec.project_to_level_set(d)(x)
+
+
+def in_single_precision(d):
+    """As d, with numbers of double precision that have the digits of single precision."""
+    return lambda x: np.asarray(d(x.astype(np.float32)), dtype=float)
+
+
+@pytest.mark.parametrize("d", [unit_sphere, ellipsoid, torus, two_rings])
+@pytest.mark.parametrize("n", [1, 200])
+def test_single_precision_is_refused_where_newtons_method_would_stop_at_its_jitter(d, n):
+    near = 1.02 * descend(d, central_gradient(d), torus_closest(NEAR[:n]))
+    with pytest.raises(ValueError, match="values of d must be of double precision"):
+        ec.project_to_level_set(in_single_precision(d))(near)
+
+
+@pytest.mark.parametrize(
+    ("gradient", "message"),
+    [
+        (lambda x: (2 * x).astype(np.float32), "values of gradient must be of double precision"),
+        (in_single_precision(lambda x: 2 * x), "single precision"),
+    ],
+)
+def test_a_gradient_in_single_precision_is_named(gradient, message):
+    with pytest.raises(ValueError, match=message):
+        ec.project_to_level_set(unit_sphere, gradient)(1.05 * ec.to_unit_sphere(NEAR))
+
+
+def test_functions_with_flat_parts_are_not_called_single_precision():
+    """A box, of whose faces all moves but one leave d as it is, and points where d is constant."""
+    box = ec.project_to_level_set(lambda x: np.abs(x).max(axis=1) - 1)
+    at = np.array([[1.01, 0.3, 0.2], [0.1, -0.98, 0.4]])
+    np.testing.assert_allclose(box(at), [[1, 0.3, 0.2], [0.1, -1, 0.4]], atol=1e-11)
