@@ -20,6 +20,7 @@ from esfem_core.surfaces import smooth
 __all__ = ["Smoothing", "nodal_average", "normal_and_curvature", "smoothed", "smoothed_divergence"]
 
 LENGTH = 0.2  # squared length of smoothing, in squared sides of an element
+FLAT = 1e-2  # area over squared sides, doubled: below it a smooth surface may not be found
 SWEEPS = 3
 
 
@@ -160,7 +161,8 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     TypeError
         If `at` is no surface.
     ValueError
-        If the surface has a boundary: there the curvature would not converge.
+        If the surface has a boundary: there the curvature would not converge; if its triangles are
+        so flat that no smooth surface through their vertices is found.
 
     Examples
     --------
@@ -183,11 +185,29 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     n = len(at.x)
     if at.space.degree == 1:
         tri = trimesh.Trimesh(at.x, at.space.cells, process=False)
+        _check_curves(tri)
         curved = SurfaceSpace(tri, 2, smooth(tri))
         at = Surface(curved, curved.nodes)
     normal = smoothed(at, at.normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return normal[:n], smoothed_divergence(at, normal)[:n]
+
+
+def _check_curves(tri: trimesh.Trimesh) -> None:
+    """Refuse triangles that are too flat for a smooth surface, tried where some are flat."""
+    edges = np.roll(tri.triangles, -1, axis=1) - tri.triangles
+    shape = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / (edges**2).sum((1, 2))
+    t = int(np.argmin(shape))
+    if shape[t] > FLAT:
+        return
+    try:
+        SurfaceSpace(tri, 2, smooth(tri))
+    except ValueError as error:
+        raise ValueError(
+            "the mean curvature at the start cannot be had from triangles so flat as triangle "
+            f"{t}, near {tri.triangles[t, 0].round(6).tolist()}: give the law normal= and "
+            "curvature=, those of an exact surface, or make better triangles"
+        ) from error
 
 
 class Smoothing:

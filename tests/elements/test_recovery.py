@@ -1,5 +1,7 @@
 """Nodal normals and mean curvatures, at vertices with five triangles above all."""
 
+import contextlib
+
 import numpy as np
 import pytest
 import trimesh
@@ -113,3 +115,16 @@ def test_normals_must_be_nodal():
 def test_what_is_no_surface_is_refused_by_name(function, others):
     with pytest.raises(TypeError, match="at must be a Surface, got None"):
         function(None, *others)
+
+
+def test_a_curvature_that_flat_triangles_do_not_give_may_be_given():
+    tri = ec.sphere("icosahedron", 2)
+    x, (a, b, c) = np.array(tri.vertices), tri.faces[0]
+    x[a] = (x[b] + x[c]) / 2 + 1e-6 * (x[a] - (x[b] + x[c]) / 2)
+    space = ec.SurfaceSpace(trimesh.Trimesh(x, tri.faces, process=False))
+    unit = ec.exact_surfaces.Sphere()
+    given = {"normal": unit.normal, "curvature": unit.mean_curvature}
+    for law, message in (({}, r"triangles so flat .* normal= and curvature="), (given, None)):
+        problem = ec.Problem(species={}, law=ec.laws.MeanCurvature(beta=0.01, **law))
+        with pytest.raises(ValueError, match=message) if message else contextlib.nullcontext():
+            next(ec.evolve(space, problem, 1, 0.05, 0.3))
