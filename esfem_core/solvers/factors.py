@@ -10,6 +10,8 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from esfem_core.checks import Array, Ints, function, integer_array, package
 from esfem_core.solvers.systems import (
+    check_factor,
+    check_symmetric,
     require_finite,
     require_small_residual,
     right_hand_side,
@@ -27,7 +29,11 @@ class Factor(Protocol):
 
 
 class Solver(Protocol):
-    """What :func:`esfem_core.evolve` asks of a linear solver."""
+    """What :func:`esfem_core.evolve` asks of a linear solver.
+
+    It must leave `A`, `b` and `guess` as they are: whether x solves the system is judged with them
+    afterwards, and a solver that has changed them in place is judged by another system.
+    """
 
     def solve(self, A: csr_array, b: Array, guess: Array) -> Array:
         """Solve A x = b, for one or several columns b, starting from a guess if of use."""
@@ -39,6 +45,10 @@ class _Reordered:
     def __init__(self, name: str, order: Ints, solve: Callable[[Array], Array], stored: str = ""):
         self._name, self._order, self._solve, self._stored = name, order, solve, stored
         self._position = np.argsort(order)
+
+    @property
+    def unknowns(self) -> int:
+        return len(self._order)
 
     def solve(self, b: Array) -> Array:
         b = right_hand_side(len(self._order), b)
@@ -58,6 +68,7 @@ def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
             f"A must hold numbers of double precision, got {A.dtype}: A.astype(float) has them"
         )
     require_finite(A)
+    check_symmetric(A)
     if order is None:
         return np.arange(n)
     order = integer_array("order", order, ("N",))
@@ -89,8 +100,8 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
     ValueError
         If `A` is not square or has no unknown, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
-        If `A` is not finite, or a pivot is zero: the matrix is singular, or as good as that in
-        rounded numbers.
+        If `A` is not finite or not symmetric, or a pivot is zero: the matrix is singular, or as
+        good as that in rounded numbers.
 
     Examples
     --------
@@ -146,7 +157,7 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
     ValueError
         If `A` is not square or has no unknown, or `order` is no order of its unknowns.
     numpy.linalg.LinAlgError
-        If `A` is not finite, or not positive definite.
+        If `A` is not finite, not symmetric, or not positive definite.
     """
     cholespy = package("CHOLMOD needs cholespy", "cholespy", "fast")
     new_order = _elimination_order(A, order)
@@ -221,7 +232,8 @@ class DirectSolver:
         Raises
         ------
         TypeError
-            If `A` is not in CSR format, or its entries or `b` are not real.
+            If `A` is not in CSR format, its entries or `b` are not real, or `factorise` returns no
+            Factor.
         ValueError
             If `A` is not square, or `b` does not fit it.
         numpy.linalg.LinAlgError
@@ -232,6 +244,7 @@ class DirectSolver:
         """
         b = right_hand_side(square(A), b)
         factor = self._factorise(A)
+        check_factor(factor)
         self.factorisations += 1
         x: Array = factor.solve(b.reshape(len(b), -1)).reshape(b.shape)
         require_small_residual(A, b, x)

@@ -17,7 +17,14 @@ from esfem_core.solvers.ageing import Ageing
 from esfem_core.solvers.conjugate_gradients import Tolerance, pcg, tolerance
 from esfem_core.solvers.factors import Factor, superlu
 from esfem_core.solvers.products import times_rows
-from esfem_core.solvers.systems import LEFT, require_finite, require_solved, right_hand_side, square
+from esfem_core.solvers.systems import (
+    LEFT,
+    check_factor,
+    require_finite,
+    require_solved,
+    right_hand_side,
+    square,
+)
 
 __all__ = ["LaggedSolver"]
 
@@ -106,7 +113,8 @@ class LaggedSolver:
         TypeError
             If `A` is not in CSR format, or its entries, `b` or `guess` are not real.
         ValueError
-            If `A` is not square, or `b` or `guess` does not fit it.
+            If `A` is not square, or not as large as those before; or if `b` or `guess` does not
+            fit it.
         numpy.linalg.LinAlgError
             If `A` is not finite, or the residual asked for is not reached with a factorisation of
             `A` itself, at last with that by SuperLU; or if rounding level is so high, since `A` is
@@ -118,6 +126,7 @@ class LaggedSolver:
         guess = real_array("guess", guess, b.shape)
         if b.size == 0:
             return np.zeros(b.shape)
+        self._check_size(len(b))
         rows = np.ascontiguousarray(b.reshape(len(b), -1).T)
         with np.errstate(over="ignore", under="ignore"):
             squares = np.vecdot(rows, rows)
@@ -148,6 +157,7 @@ class LaggedSolver:
                 break
             require_finite(A)
             self._factor = factorise(A)
+            check_factor(self._factor)
             self._ageing = Ageing(self.price)
             self.factorisations += 1
             x, converged = self._iterate(self._factor, A, rows, x, allowed)
@@ -160,6 +170,15 @@ class LaggedSolver:
             )
         _require_solved_rows(A, rows, x, allowed)
         return np.ascontiguousarray(x.T).reshape(b.shape)
+
+    def _check_size(self, n: int) -> None:
+        """Refuse a matrix of another size than the one whose factor is kept, where that tells."""
+        before = getattr(self._factor, "unknowns", n)
+        if before != n:
+            raise ValueError(
+                f"A must have the shape of the matrices before, {(before, before)}, got {(n, n)}: "
+                "make a new LaggedSolver"
+            )
 
     def _iterate(
         self, factor: Factor, A: csr_array, b: Array, x: Array, allowed: Tolerance

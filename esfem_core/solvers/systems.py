@@ -4,9 +4,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, real_array
+from esfem_core.checks import Array, real_array, shown
 
 __all__ = [
+    "check_factor",
+    "check_symmetric",
     "require_finite",
     "require_small_residual",
     "require_solved",
@@ -14,6 +16,7 @@ __all__ = [
     "square",
 ]
 
+SYMMETRIC = 1e-9  # of the largest entry, by which one and its mirror image may differ
 RESIDUAL = 1e-9  # relative to what rounding is relative to; a good factorisation gives 1e-15
 LEFT = 0.1  # share of b that a residual leaves where x has not one right digit
 TINY = np.finfo(float).tiny  # numbers below it have fewer digits
@@ -60,6 +63,41 @@ def require_finite(A: csr_array) -> None:
     """
     if not np.isfinite(A.data).all():
         raise np.linalg.LinAlgError("A must be finite, but has entries that are not")
+
+
+def check_symmetric(A: csr_array) -> None:
+    """Refuse a matrix of which factorisations that read one half would solve another system.
+
+    Examples
+    --------
+    >>> check_symmetric(csr_array([[1.0, 0.5], [0.0, 1.0]]))
+    Traceback (most recent call last):
+        ...
+    numpy.linalg.LinAlgError: A must be symmetric and positive definite, but is not symmetric
+    """
+    with np.errstate(all="ignore"):
+        largest = np.abs(A.data).max(initial=0.0)
+        difference = np.abs((A - A.T).data).max(initial=0.0)
+    if difference > SYMMETRIC * largest:
+        raise np.linalg.LinAlgError(
+            "A must be symmetric and positive definite, but is not symmetric"
+        )
+
+
+def check_factor(factor: object) -> None:
+    """Refuse what a function that factorises has returned and cannot solve.
+
+    Examples
+    --------
+    >>> check_factor(None)
+    Traceback (most recent call last):
+        ...
+    TypeError: factorise must return a Factor, an object with a method solve(b), got None
+    """
+    if isinstance(factor, type) or not callable(getattr(factor, "solve", None)):
+        raise TypeError(
+            f"factorise must return a Factor, an object with a method solve(b), got {shown(factor)}"
+        )
 
 
 def right_hand_side(n: int, b: ArrayLike) -> Array:

@@ -124,3 +124,15 @@ def test_the_direct_solver_refuses_what_does_not_fit():
         DirectSolver().solve(csr_array((5, 4)), np.zeros(5), np.zeros(5))
     with pytest.raises(ValueError, match=r"beside A of shape \(5, 5\), got \(4,\)"):
         DirectSolver().solve(tridiagonal(5), np.zeros(4), np.zeros(4))
+
+
+@pytest.mark.parametrize("factorise", [superlu, cholmod])
+def test_a_matrix_that_is_not_symmetric_is_refused(factorise):
+    A = csr_array([[2.0, 0.5], [0.0, 2.0]])
+    with pytest.raises(np.linalg.LinAlgError, match="is not symmetric"):
+        factorise(A)
+
+
+def test_what_factorise_returns_is_named():
+    with pytest.raises(TypeError, match=r"factorise must return a Factor, .* got None"):
+        DirectSolver(lambda A: None).solve(csr_array(np.eye(2)), np.ones(2), np.zeros(2))

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 import esfem_core as ec
 from esfem_core.solvers import DirectSolver, LaggedSolver, cholmod, multifrontal, superlu
@@ -217,3 +218,18 @@ def test_says_what_it_has_done():
     A = system(1)
     solver.solve(A, np.ones(A.shape[0]), np.zeros(A.shape[0]))
     assert f"iterations={solver.iterations}, factorisations=1, factor=BlockFac" in repr(solver)
+
+
+def test_a_matrix_of_another_size_is_named():
+    solver = LaggedSolver()
+    solver.solve(csr_array(np.eye(2)), np.ones(2), np.zeros(2))
+    with pytest.raises(
+        ValueError, match=r"A must have the shape .*\(2, 2\), got \(3, 3\): make a new"
+    ):
+        solver.solve(csr_array(np.eye(3)), np.ones(3), np.zeros(3))
+
+
+def test_what_factorise_returns_is_named():
+    solver = LaggedSolver(factorise=lambda A: None)
+    with pytest.raises(TypeError, match=r"factorise must return a Factor, .* got None"):
+        solver.solve(csr_array(np.eye(2)), np.ones(2), np.zeros(2))
