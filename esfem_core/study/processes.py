@@ -276,6 +276,7 @@ def _work(pipe: Connection) -> None:
     """Compute what comes through a pipe, until nothing more can come."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who starts us also ends us
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    own = os.getpid()
     with suppress(EOFError, OSError):
         pipe.send_bytes(b"")
         while True:
@@ -285,6 +286,8 @@ def _work(pipe: Connection) -> None:
                 answer = (cloudpickle or pickle).dumps((True, function(*args, **kwargs)))
             except BaseException as error:
                 answer = pickle.dumps((False, transportable(error)))
+            if os.getpid() != own:  # of a case that has forked: one process answers, once
+                os._exit(0)
             pipe.send_bytes(answer)
 
 

@@ -356,3 +356,18 @@ def test_a_pool_ends_when_it_is_shut_down():
     with pytest.raises(RuntimeError, match="cannot schedule new futures after shutdown"):
         pool.submit(abs, 1)
     assert issubclass(WorkerLostError, RuntimeError)
+
+
+def forking(*, i):
+    if i == 0:
+        os.fork()
+    return {"i": i}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_case_that_forks_is_answered_once(tmp_path):
+    cases = [{"i": i} for i in range(4)]
+    result = run(cases, forking, tmp_path, workers=1, progress=False)
+    assert sorted((row.parameters["i"], row.results["i"]) for row in result.rows) == [
+        (i, i) for i in range(4)
+    ]
