@@ -126,7 +126,7 @@ def plain(name: str, value: Any, *, arrays: bool = True) -> Any:
             return kind(value)
     if isinstance(value, str):
         return str.__str__(value)  # of an Enum not its name, as str(value) would give
-    if hasattr(value, "_asdict"):
+    if hasattr(value, "_asdict") and not isinstance(value, type):
         value = value._asdict()
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return {

@@ -7,6 +7,7 @@ import re
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -568,3 +569,12 @@ def test_a_folder_is_no_file_of_rows_and_numbers_are_no_rows(tmp_path):
         read(tmp_path)
     with pytest.raises(TypeError, match=r"^rows\[0\] must be a Row, got 1"):
         select([1])
+
+
+class _Pair(NamedTuple):
+    a: int
+
+
+def test_a_class_of_named_tuples_is_no_result():
+    with pytest.raises(TypeError, match="results must be a number"):
+        rows.plain("results", _Pair)
