@@ -11,6 +11,7 @@ __all__ = ["check_told_apart", "count_steps", "following", "later", "same_time"]
 LARGEST = 10**6  # denominators up to here tell apart all fractions that a double can mean
 NEAR = 1000  # below it two such fractions, at least 1e-12 apart, are never rounded to one double
 TOLERANCE = 1e-9
+SHORTEST = 1e-140  # products of two shorter steps leave the range of numbers
 APART = 1e-3  # of a step, what the rounding of the times may take from it
 ROUNDING = 1e-12  # of a time, after many steps; what differs by more is not the same
 
@@ -79,7 +80,7 @@ def same_time(t: float, other: float) -> bool:
 
 
 def check_told_apart(t: float, step: float) -> None:
-    """Refuse steps that are lost in the rounding of the times.
+    """Refuse steps that are lost in the rounding of the times, or below 1e-140.
 
     Examples
     --------
@@ -90,6 +91,10 @@ def check_told_apart(t: float, step: float) -> None:
     ValueError: step must be larger against the time, t = 1.7e+09, got 1e-07: the times of such
     steps are not told apart; count time from near the start of the run
     """
+    if step < SHORTEST:
+        raise ValueError(
+            f"step must be at least {SHORTEST:g}, got {step:g}: measure time in another unit"
+        )
     if abs(t - later(t, -step) - step) > APART * step:
         raise ValueError(
             f"step must be larger against the time, t = {t:g}, got {step:g}: the times of such "

@@ -150,3 +150,9 @@ def test_an_end_that_is_later_than_rounding_is_reached_by_no_step():
     assert count_steps(1.0, 1e6, 1 + 0.5e-12) == 0
     with pytest.raises(ValueError, match="end/step must be an integer"):
         count_steps(1.0, 1e6, 1 + 1.5e-12)
+
+
+@pytest.mark.parametrize("step", [1e-300, 1e-320])
+def test_a_step_whose_square_is_no_number_is_refused(step):
+    with pytest.raises(ValueError, match="step must be at least 1e-140"):
+        count_steps(0.0, step, 2 * step)
