@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, finite_array, function, iterable, object_of, real_array, shown
+from esfem_core.checks import (
+    Array,
+    finite_array,
+    function,
+    iterable,
+    number,
+    object_of,
+    real_array,
+    shown,
+)
 from esfem_core.elements import SurfaceSpace, squared_differences
 from esfem_core.laws import check_no_slip
 from esfem_core.problems import Problem
@@ -380,7 +389,7 @@ def time_norms(
     Raises
     ------
     TypeError
-        If `measure` does not return Errors.
+        If `measure` does not return Errors, or not of numbers.
     ValueError
         If no step lies in the window, the times do not increase by one constant step, or as
         `measure` does.
@@ -408,6 +417,7 @@ def time_norms(
         if inside and state.v is not None:
             found = measure(space, problem, state)
             errors.append(object_of("what measure returns", found, Errors))
+            _check_entries(found)
     if not errors:
         raise ValueError(
             f"window must hold a step after the starting states, but none of {len(times)} states "
@@ -419,6 +429,14 @@ def time_norms(
     # Unlike Python's max, NumPy's does not skip NaN.
     largest = float(np.max([e.u_l2 for e in errors]))
     return largest, float(np.sqrt(tau * sum(_square(e.u_h1) for e in errors)))
+
+
+def _check_entries(errors: Errors) -> None:
+    """Refuse errors that are no numbers, or negative; NaN, where there is nothing, is none."""
+    for name in ("u_l2", "u_h1"):
+        value = getattr(errors, name)
+        if not (isinstance(value, float) and math.isnan(value)):
+            number(f"{name} of what measure returns", value, least=0)
 
 
 def _square(value: float) -> float:

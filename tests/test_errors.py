@@ -265,3 +265,16 @@ class TestNormsOverARun:
             self.norms(self.RUN, (0.31, 0.39))
         with pytest.raises(ValueError, match=r"window must have shape \(2,\), got \(3,\)"):
             self.norms(self.RUN, (0.0, 0.1, 0.2))
+
+
+@pytest.mark.parametrize("value", ["a", np.ones(2), -1.0])
+def test_entries_of_what_measure_returns_are_numbers(value):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    problem = ec.problems.growing_sphere()
+    states = ec.evolve(space, problem, order=1, step=0.1, end=0.2)
+
+    def measure(space, problem, state):
+        return ec.errors.Errors(*5 * [0.0], value)
+
+    with pytest.raises((TypeError, ValueError), match="u_h1 of what measure returns must be"):
+        ec.errors.time_norms(space, problem, states, (0.0, 1.0), measure)
