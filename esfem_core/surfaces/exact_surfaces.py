@@ -5,6 +5,7 @@ needs for each point x nearby the decomposition x = p + d ν(p) and the curvatur
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -110,6 +111,13 @@ class ExactSurface(ABC):
             As of :meth:`near`.
         """
         return self.near(x).mean_curvature
+
+
+def _check_no_flags(name: str, values: Iterable[object]) -> None:
+    """Refuse booleans, which NumPy takes for numbers where they stand among these."""
+    for i, value in enumerate(values):
+        if isinstance(value, bool | np.bool):
+            raise TypeError(f"{name}[{i}] must be a number, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -220,6 +228,7 @@ class Ellipsoid(ExactSurface):
 
     def __post_init__(self) -> None:
         axes = finite_array("axes", self.axes, (3,))
+        _check_no_flags("axes", self.axes)
         if not (axes > 0).all():
             raise ValueError(f"axes must be positive, got {axes.tolist()}")
         if axes.max() > FARTHEST or axes.min() < 1 / FARTHEST:

@@ -336,6 +336,7 @@ def _require_small_turns(x: Array, faces: Ints, gradient: Field, h: float, turn:
         raise TooCoarseError(
             f"h must be smaller for this surface, got {h:g}, which is too large: near "
             f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.0f} degrees within a "
-            f"triangle (allowed: {np.degrees(np.arccos(turn)):.0f})",
+            f"triangle (allowed: {np.degrees(np.arccos(turn)):.0f}); where the surface has a "
+            "crease no h is small enough",
             x[faces[worst]],
         )

@@ -121,6 +121,7 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
     """
     if issparse(K):
         K = square_matrix("K", K).astype(float).tocsr()
+        _check_unknowns(K)
         check_symmetric("K", K)
         check_definite("K", K)
         r = finite_array("functional", functional, (K.shape[0], "..."))
@@ -131,6 +132,11 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
         r = finite_array("functional", functional, ("N", "..."))
     columns = r.reshape(len(r), -1)
     return root_of_form("K", columns, K.solve(columns))
+
+
+def _check_unknowns(K: csr_array) -> None:
+    if K.shape[0] == 0:
+        raise ValueError("K must have at least one unknown, got shape (0, 0)")
 
 
 def exact_values(space: SurfaceSpace, problem: Problem, t: float) -> NodalValues:

@@ -166,3 +166,8 @@ def test_a_gradient_that_writes_into_its_argument_changes_no_points():
     near = LevelSet(lambda x: (x**2).sum(axis=1) - 1, gradient).near(np.array([[0, 0, 1.1]]))
     np.testing.assert_allclose(near.points, [[0, 0, 1]], atol=1e-13)
     np.testing.assert_allclose(near.distance, 0.1, atol=1e-13)
+
+
+def test_booleans_are_no_axes():
+    with pytest.raises(TypeError, match=r"axes\[0\] must be a number, got True"):
+        Ellipsoid((True, 1, 1))

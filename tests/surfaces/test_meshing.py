@@ -206,3 +206,11 @@ def test_without_scikit_image_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
     with pytest.raises(ImportError, match=r'scikit-image: pip install "esfem-core\[mesh\]"$'):
         ec.from_level_set(unit_sphere, BOX, 0.3)
+
+
+def test_where_triangles_are_too_large_a_crease_is_thought_of():
+    def balls(x):
+        return np.minimum(*(np.linalg.norm(x - [c, 0, 0], axis=1) - 0.7 for c in (-0.6, 0.6)))
+
+    with pytest.raises(ValueError, match=r"crease .*no h is small enough"):
+        ec.from_level_set(balls, [[-1.6] * 3, [1.6] * 3], 0.2)

@@ -482,3 +482,8 @@ def test_fields_of_another_shape_are_refused():
     two = ec.Problem(u0=space.nodes, exact=problem.exact._replace(u=lambda x, t: x[..., :2]))
     with pytest.raises(ValueError, match=r"the exact u must have shape \(42,\), got \(42, 2\)"):
         spatial_terms_u(space, two, field, 0.6)
+
+
+def test_a_matrix_without_unknowns_has_no_dual_norm():
+    with pytest.raises(ValueError, match="K must have at least one unknown"):
+        ec.defects.dual_norm(csr_array((0, 0)), np.zeros(0))
