@@ -59,7 +59,9 @@ class Guard:
     def look_at_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
 
-        Components with a boundary have no inside. Triangles are looked at again when nodes have
+        Components with a boundary have no inside: of these, no triangle may turn in its plane by
+        more than a right angle within a step, as all do when a surface passes through a point.
+        Triangles are looked at again when nodes have
         moved so far that one of them could have become narrow or turned.
 
         Parameters
@@ -81,6 +83,7 @@ class Guard:
             if not (upright.all() and shape.min() > self._narrow):
                 self._look_closer(x, normal, shape)
             self._look_inside(x, volume)
+            self._check_sides(x)
             self._x, self._normal, self._size = x, normal, size
             self._reach = self._safe_distance(shape, sides, volume)
         self._before = x
@@ -152,6 +155,23 @@ class Guard:
             raise DegenerateElementError(
                 f"{which} is inside out (enclosed volume {volume[component]:.3g}), near "
                 f"{self._place(x, element)}: it has shrunk to a point or passed through itself",
+                element,
+            )
+
+    def _check_sides(self, x: Array) -> None:
+        """Refuse a triangle of a component with a boundary that turns within its plane."""
+        if self._closed.all():
+            return
+        turned = ~self._closed[self._component]
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            a, b = self._corners[i], self._corners[j]
+            turned &= np.vecdot(x[b] - x[a], self._before[b] - self._before[a]) < 0
+        if turned.any():
+            element = int(np.argmax(turned))
+            raise DegenerateElementError(
+                f"element {element} near {self._place(x, element)} has turned within its plane: "
+                "its sides changed direction by more than a right angle within a step, as when a "
+                "surface with a boundary shrinks to a point and comes out inside out",
                 element,
             )
 
