@@ -207,7 +207,8 @@ class Claim:
             f'<div class="esfem-claim esfem-{verdict}" id="check-{html.escape(anchor(self.id))}" '
             f'data-claim="{html.escape(json.dumps(self.to_dict()))}">'
             f'<p><span class="esfem-verdict">{_sign(self.verdict)} {self.verdict}</span> '
-            f'claim <a href="ledger.html#claim-{anchor(self.id)}">{html.escape(self.id)}</a></p>'
+            f'claim <a href="ledger.html#claim-{html.escape(anchor(self.id))}">'
+            f"{html.escape(self.id)}</a></p>"
             f"{table}{note}</div>"
         )
 

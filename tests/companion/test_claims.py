@@ -289,3 +289,8 @@ def test_the_data_are_strict_json_and_are_checked_when_read():
     assert Claim.from_dict(data).verdict == "contradicted"
     with pytest.raises(AssertionError, match="does not say its kind"):
         Claim.from_dict(data | {"kind": None})
+
+
+def test_the_link_of_a_check_is_escaped():
+    check = claims.Claim('N-2.1-"><b>', (GOOD,))
+    assert "<b>" not in check._repr_html_()
