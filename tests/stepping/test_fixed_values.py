@@ -27,6 +27,16 @@ def run(space, problem, order=2, step=0.1, end=0.4, **options):
     return final(ec.evolve(space, problem, order, step, end, **options))
 
 
+@pytest.mark.parametrize("mass", MASSES)
+def test_given_values_are_those_of_the_new_positions_and_not_of_extrapolated_ones(mass):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    caps = np.flatnonzero(abs(space.nodes[:, 2]) > 0.9)
+    height = ec.Species(lambda x: x[:, 2], fixed=(caps, lambda x, t: x[:, 2]))
+    pushed = ec.laws.Regularised(1.0, 0.0, lambda at: 1 + 0 * at.density)
+    found = run(space, on(height, pushed), mass=mass)
+    np.testing.assert_array_equal(found.u[caps], found.x[caps, 2])
+
+
 class TestOrders:
     @pytest.mark.parametrize("kind", PROBLEMS)
     @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -213,4 +213,4 @@ def test_where_triangles_are_too_large_a_crease_is_thought_of():
         return np.minimum(*(np.linalg.norm(x - [c, 0, 0], axis=1) - 0.7 for c in (-0.6, 0.6)))
 
     with pytest.raises(ValueError, match=r"crease .*no h is small enough"):
-        ec.from_level_set(balls, [[-1.6] * 3, [1.6] * 3], 0.2)
+        ec.from_level_set(balls, [[-1.6] * 3, [1.6] * 3], 0.15)

@@ -74,6 +74,15 @@ def test_displaced_vertices_stay_on_the_surface_and_near():
     np.testing.assert_allclose(same.vertices, tri.vertices, atol=1e-15)
 
 
+def test_displacements_go_both_ways_and_as_far_as_their_share():
+    tri = ec.sphere("octahedron", 2)
+    moved = displaced(tri, 0.2, lambda x: x)
+    shift = (moved.vertices - tri.vertices) / (0.2 * tri.edges_unique_length.min())
+    assert -1 <= shift.min() < -0.95
+    assert 0.95 < shift.max() <= 1
+    assert abs(shift.mean()) < 0.1
+
+
 def test_a_displaced_mesh_shares_nothing_with_the_one_it_was_made_of():
     tri = ec.sphere("octahedron", 1)
     moved = displaced(tri, 0.2, ec.to_unit_sphere)

@@ -152,6 +152,33 @@ def test_the_terms_of_the_proof_add_up(order):
     assert np.abs(sum(terms.values()) - (d.v - limit.v)).max() < 1e-12
 
 
+def test_the_terms_of_the_proof_are_those_that_they_are_called():
+    space, problem, step, n = space_of(0), triaxial(), 1 / 20, 7
+    now, *past = (exact_values(space, problem, (n - j) * step) for j in range(3))
+    far_x, _, far_u = (2 * one - other for one, other in zip(*past, strict=True))
+    (Mt, At), (M, A) = space.mass_stiffness(far_x), space.mass_stiffness(now.x)
+    in_u = temporal_terms_u(space, problem, 2, step, n)
+    in_v = temporal_terms_v(space, problem, 2, step, n * step)
+    alpha, beta = problem.law.alpha, problem.law.beta
+    for found, term in (
+        (in_u["A"], (At - A) @ now.u),
+        (in_v["M"], (Mt - M) @ now.v),
+        (in_v["alpha A"], alpha * (At - A) @ now.v),
+        (in_v["beta A"], beta * (At - A) @ now.x),
+    ):
+        np.testing.assert_allclose(found, term, atol=1e-13)
+    for terms, of_surface, of_u, load in (
+        (in_u, "(6.22)", "f, extrapolated u", source_load),
+        (in_v, "g, surface", "g, extrapolated u", force_load),
+    ):
+        near, middle, far = (
+            load(space, problem, x, u, n * step)
+            for x, u in ((now.x, now.u), (far_x, now.u), (far_x, far_u))
+        )
+        np.testing.assert_allclose(terms[of_surface], near - middle, atol=1e-13)
+        np.testing.assert_allclose(terms[of_u], middle - far, atol=1e-13)
+
+
 def test_the_spatial_defect_of_a_prescribed_motion_is_a_derivative():
     space, problem = space_of(1, 1), ec.problems.oscillating_ellipsoid("oscillation")
     t, eps = 0.3, 1e-4

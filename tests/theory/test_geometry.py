@@ -65,6 +65,15 @@ def test_they_fall_with_the_mesh_size(degree):
         assert getattr(fine, name) < 0.6 * getattr(coarse, name), name
 
 
+def test_m_smooth_is_the_difference_of_the_integrals_over_both_surfaces():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    nodal = linear(space.nodes)
+    onto = geometry.lift(space, space.nodes, Sphere())
+    on_exact = geometry.lifted_norm(space, space.nodes, onto, space.evaluate(nodal)) ** 2
+    on_discrete = nodal @ (space.mass(space.nodes) @ nodal)
+    assert errors(space, 1.0).m_smooth == pytest.approx(abs(on_exact - on_discrete), rel=1e-10)
+
+
 @pytest.mark.parametrize("surface", [Torus(), Ellipsoid((1.4, 1.1, 0.8))])
 def test_the_differential_of_the_closest_point_is_a_difference_quotient(surface):
     x = surface.closest(np.array([[1.2, 0.3, 0.2], [-0.9, 0.8, 0.3]])) * 1.05
