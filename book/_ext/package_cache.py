@@ -2,7 +2,8 @@
 
 jupyter-cache keys on a notebook's own code, so an edit to ``esfem_core`` would leave stale outputs
 in the book. Here the cache folder carries a hash of everything else that outputs depend on: the
-package, the stored data, the pinned environment and the Python version.
+package with the script of its moving pictures, the stored data, the pinned environment and the
+Python version.
 
 myst-nb executes a notebook when it comes to it, one after the other. Here those that are missing in
 the cache are executed before, one on each processor.
@@ -25,7 +26,11 @@ from sphinx.environment import BuildEnvironment
 
 from esfem_core.study.environment import source_hash
 
-INPUTS = ("esfem_core/companion/data/**/*", "requirements.lock")  # beside the package
+INPUTS = (  # beside the Python files of the package
+    "esfem_core/companion/data/**/*",
+    "esfem_core/output/viewer.*",
+    "requirements.lock",
+)
 
 
 def digest(root: Path) -> str:

@@ -74,7 +74,11 @@ def test_pages_are_made_again_when_code_data_or_pins_change(checkout):
 
     def more_changes():
         yield from changes(checkout)
-        for name in ("esfem_core/companion/data/nick_table.jsonl", "requirements.lock"):
+        for name in (
+            "esfem_core/companion/data/nick_table.jsonl",
+            "esfem_core/output/viewer.js",
+            "requirements.lock",
+        ):
             (checkout / name).write_text("")
             yield name
 
