@@ -98,10 +98,11 @@ def superlu(A: csr_array, order: Ints | None = None) -> Factor:
     TypeError
         If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
-        If `A` is not square or has no unknown, or `order` is no order of its unknowns.
+        If `A` is not square, not symmetric or has no unknown, or `order` is no order of its
+        unknowns.
     numpy.linalg.LinAlgError
-        If `A` is not finite or not symmetric, or a pivot is zero: the matrix is singular, or as
-        good as that in rounded numbers.
+        If `A` is not finite, or a pivot is zero: the matrix is singular, or as good as that in
+        rounded numbers.
 
     Examples
     --------
@@ -155,9 +156,10 @@ def cholmod(A: csr_array, order: Ints | None = None) -> Factor:
     TypeError
         If `A` is not in CSR format, or its entries are not real and of double precision.
     ValueError
-        If `A` is not square or has no unknown, or `order` is no order of its unknowns.
+        If `A` is not square, not symmetric or has no unknown, or `order` is no order of its
+        unknowns.
     numpy.linalg.LinAlgError
-        If `A` is not finite, not symmetric, or not positive definite.
+        If `A` is not finite or not positive definite.
     """
     cholespy = package("CHOLMOD needs cholespy", "cholespy", "fast")
     new_order = _elimination_order(A, order)
@@ -235,7 +237,8 @@ class DirectSolver:
             If `A` is not in CSR format, its entries or `b` are not real, or `factorise` returns no
             Factor.
         ValueError
-            If `A` is not square, or `b` does not fit it.
+            If `A` is not square, `b` does not fit it, or SuperLU or CHOLMOD is to factorise a
+            matrix that is not symmetric.
         numpy.linalg.LinAlgError
             If the matrix is singular, or not symmetric and positive definite, and the residual of
             the answer shows it.

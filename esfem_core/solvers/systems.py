@@ -73,15 +73,13 @@ def check_symmetric(A: csr_array) -> None:
     >>> check_symmetric(csr_array([[1.0, 0.5], [0.0, 1.0]]))
     Traceback (most recent call last):
         ...
-    numpy.linalg.LinAlgError: A must be symmetric and positive definite, but is not symmetric
+    ValueError: A must be symmetric and positive definite, but is not symmetric
     """
     with np.errstate(all="ignore"):
         largest = np.abs(A.data).max(initial=0.0)
         difference = np.abs((A - A.T).data).max(initial=0.0)
     if difference > SYMMETRIC * largest:
-        raise np.linalg.LinAlgError(
-            "A must be symmetric and positive definite, but is not symmetric"
-        )
+        raise ValueError("A must be symmetric and positive definite, but is not symmetric")
 
 
 def check_factor(factor: object) -> None:

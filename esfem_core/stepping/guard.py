@@ -83,7 +83,7 @@ class Guard:
             if not (upright.all() and shape.min() > self._narrow):
                 self._look_closer(x, normal, shape)
             self._look_inside(x, volume)
-            self._check_sides(x)
+            self._warn_of_sides(x)
             self._x, self._normal, self._size = x, normal, size
             self._reach = self._safe_distance(shape, sides, volume)
         self._before = x
@@ -158,8 +158,8 @@ class Guard:
                 element,
             )
 
-    def _check_sides(self, x: Array) -> None:
-        """Refuse a triangle of a component with a boundary that turns within its plane."""
+    def _warn_of_sides(self, x: Array) -> None:
+        """Warn, once, of a triangle of a component with a boundary that turns within its plane."""
         if self._closed.all():
             return
         turned = ~self._closed[self._component]
@@ -168,11 +168,12 @@ class Guard:
             turned &= np.vecdot(x[b] - x[a], self._before[b] - self._before[a]) < 0
         if turned.any():
             element = int(np.argmax(turned))
-            raise DegenerateElementError(
+            self._warn_once(
+                "sides",
                 f"element {element} near {self._place(x, element)} has turned within its plane: "
                 "its sides changed direction by more than a right angle within a step, as when a "
-                "surface with a boundary shrinks to a point and comes out inside out",
-                element,
+                "surface with a boundary shrinks to a point and comes out inside out; then results "
+                "mean nothing from now on",
             )
 
     def warn_of_folds(self, x: Array, space: SurfaceSpace) -> None:

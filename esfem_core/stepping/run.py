@@ -199,9 +199,9 @@ def evolve(
     EvolutionError
         If a run meets a value that is not finite or has grown beyond `growth`, or a rate or
         diffusivity that is negative, if an element degenerates, or turns by more than a right angle
-        within a step, a component of the surface turns inside out, or a linear system is not solved
-        to its tolerance. The states yielded before are good, but for what a warning says. A surface
-        that passes through itself is not noticed.
+        within a step, a closed component of the surface turns inside out, or a linear system is not
+        solved to its tolerance. The states yielded before are good, but for what a warning says. A
+        surface that passes through itself is not noticed.
 
     Warns
     -----
@@ -211,7 +211,8 @@ def evolve(
         grown by a factor of 1e6, so that the run will hardly survive; and where the surface folds
         step by step, so that results mean little there from now on: neighbouring triangles come to
         enclose less than 60 degrees, or a normal inside a curved element to make more than a right
-        angle with that of its flat triangle. At the call, for alpha = 0 with mean curvature and
+        angle with that of its flat triangle; and where a component with a boundary passes through a
+        point and comes out inside out. At the call, for alpha = 0 with mean curvature and
         degree 2 or more, or with p = 4 or more, which is unstable; for a slip of which more than
         a fifth is normal; and for alpha of :class:`esfem_core.laws.Regularised`, or a constant
         diffusivity times the step, of more than 1e8 area/(4 pi), where rounding takes amounts and

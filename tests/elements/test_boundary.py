@@ -118,7 +118,7 @@ def test_of_two_sheets_at_one_place_one_is_to_be_removed(turn):
         lambda: ec.SurfaceSpace(two, boundary=True),
         lambda: ec.SurfaceSpace.from_nodes(two.vertices, two.faces, boundary=True),
     ):
-        with pytest.raises(ValueError, match=r"\(16 such pairs\); remove one of the sheets: "):
+        with pytest.raises(ValueError, match=r"\(16 such pairs\); (.*dropped 64|remove one of)"):
             make()
 
 
@@ -167,7 +167,10 @@ def changed_half(change):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda x, f: (x, np.vstack([f, f[:1, [0, 0, 1]]])), "its corners .* repeat; remove it"),
+        (
+            lambda x, f: (x, np.vstack([f, f[:1, [0, 0, 1]]])),
+            "its corners .*; tri = ec.repair",
+        ),
         (lambda x, f: (x, np.vstack([f[:1, ::-1], f[1:]])), "oriented against each other"),
         (lambda x, f: (x * [1, 1, np.nan], f), "is not finite"),
         (lambda x, f: (np.vstack([x, x[:1]]), f), "belongs to no triangle"),
