@@ -4,6 +4,7 @@ import itertools
 import math
 import threading
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -121,8 +122,11 @@ def test_answers_of_a_direct_solver_are_tested_by_their_residual():
     b = space.nodes[:, 0]
     skew = (M + A).tocsr()
     skew.data = skew.data * np.linspace(1, 2, skew.nnz)
-    with pytest.raises(np.linalg.LinAlgError, match="must be symmetric and positive definite"):
+    with pytest.raises(ValueError, match="must be symmetric and positive definite"):
         ec.DirectSolver().solve(skew, b, b)
+    half = SimpleNamespace(solve=lambda b: solvers.superlu(M + A).solve(b) / 2)
+    with pytest.raises(np.linalg.LinAlgError, match="must be symmetric and positive definite"):
+        ec.DirectSolver(lambda A: half).solve(M + A, b, b)
 
 
 @pytest.mark.parametrize(("degree", "distance"), [(1, 1e-3), (2, 1e-5), (1, 1e-6), (3, 1e-7)])
