@@ -24,7 +24,6 @@ from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeat
 __all__ = [
     "FARTHEST",
     "FLATTEST",
-    "NO_SIDES",
     "SMALLEST",
     "Fault",
     "check_is_trimesh",
@@ -47,8 +46,6 @@ ROUNDING = 1e-14
 TURNING = (
     "tri.faces = ec.SurfaceSpace.from_nodes(tri.vertices, tri.faces, boundary=True).cells turns"
 )
-
-NO_SIDES = "the surface is not orientable"  # how that fault begins
 
 DEGREES = range(2, 13)  # of curved elements; as many as the elements of this package have
 
@@ -94,11 +91,14 @@ class Fault(NamedTuple):
         What a person can do about it if a repair cannot.
     repairable : bool
         False if a repair would not even be the right thing.
+    orientable : bool
+        False if the surface has one side only, so that no lid gives it an inside.
     """
 
     text: str
     advice: str
     repairable: bool = True
+    orientable: bool = True
 
 
 def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
@@ -352,9 +352,10 @@ def _of_orientation(faces: Ints) -> Fault | None:
     if orientable.all():
         return None
     return Fault(
-        f"{NO_SIDES}: a way around it, as on a Möbius strip or a Klein bottle, "
+        "the surface is not orientable: a way around it, as on a Möbius strip or a Klein bottle, "
         f"comes back to triangle {np.argmin(orientable)} from behind",
         "it has no inside and no normal, which the equations need: take an orientable surface",
+        orientable=False,
     )
 
 

@@ -14,7 +14,6 @@ import trimesh
 from esfem_core.checks import Array, Bools, Ints, flag, function, whole_number
 from esfem_core.surfaces.faults import (
     FARTHEST,
-    NO_SIDES,
     SMALLEST,
     Fault,
     check_is_trimesh,
@@ -123,8 +122,8 @@ def repair(
     holes = whole_number("holes", holes, 0)
     if report is not None:
         function("report", report, "of a line of text, or None")
-    vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
     flag("boundary", boundary)
+    vertices, faces = np.array(tri.vertices, dtype=float), np.array(tri.faces, dtype=np.int64)
     check_coordinates("tri", vertices, faces)
     found = fault(vertices, faces, boundary)
     if found is None:
@@ -139,7 +138,7 @@ def repair(
             report(step)
     left = fault(result.vertices, result.faces, boundary)
     if left is not None:
-        if found.text.startswith(NO_SIDES):
+        if not found.orientable:
             left, advice = found, found.advice
         elif boundary:
             advice = left.advice
@@ -229,8 +228,8 @@ def remedy(vertices: Array, faces: Ints, found: Fault, boundary: bool = False) -
     if left is None:
         call = "tri, holes=0, boundary=True" if boundary else "tri"
         return f"tri = ec.repair({call}) helps ({', '.join(result.steps)})"
-    if boundary or found.text.startswith(NO_SIDES):
-        return found.advice  # whatever is left: no lid gives it an inside
+    if boundary or not found.orientable:  # no lid is wanted, or of any use
+        return found.advice
     same = left.text.split(":")[0] == found.text.split(":")[0]
     rest = "" if same else f"ec.repair is not enough: then {left.text}; "
     return rest + _next(vertices, faces, left, HOLE)
