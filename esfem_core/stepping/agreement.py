@@ -193,7 +193,8 @@ def _check_exact_velocity(exact: Exact, nodes: Array, step: float, end: float) -
                 return
             else:
                 found.pop(t, None)
-    for t, (p, given, wanted) in found.items():
+    if found:
+        t, (p, given, wanted) = next(iter(found.items()))
         raise ValueError(
             f"exact.v must be the velocity d/dt exact.x(p, t), but at t = {t:.3g} exact.v(p, t) = "
             f"{given} and exact.x moves with {wanted} for the node p = {p}: like exact.x, "

@@ -59,10 +59,9 @@ class Guard:
     def look_at_surface(self, x: Array) -> None:
         """Refuse a surface with a degenerate or turned triangle, or one that is inside out.
 
-        Components with a boundary have no inside: of these, no triangle may turn in its plane by
-        more than a right angle within a step, as all do when a surface passes through a point.
-        Triangles are looked at again when nodes have
-        moved so far that one of them could have become narrow or turned.
+        Components with a boundary have no inside: of these a triangle that turns in its plane is
+        warned of, as all do when a surface passes through a point. Triangles are looked at again
+        when nodes have moved so far that one of them could have become narrow or turned.
 
         Parameters
         ----------

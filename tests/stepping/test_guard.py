@@ -7,6 +7,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import trimesh
+from hemisphere import hemisphere
 
 import esfem_core as ec
 from esfem_core.elements import DegenerateElementError
@@ -552,26 +553,18 @@ def test_a_dumbbell_ends_at_its_pinch(order, last):
         assert outwards[abs(state.x[:, 0]) < 0.2].min() > 0
 
 
-def upper_half():
-    whole = ec.sphere("octahedron", 2)
-    above = (whole.vertices[whole.faces][:, :, 2] > -1e-12).all(axis=1)
-    upper = trimesh.Trimesh(whole.vertices, whole.faces[above], process=False)
-    upper.remove_unreferenced_vertices()
-    return ec.SurfaceSpace(upper, boundary=True)
-
-
 @pytest.mark.parametrize(
     "motion", [lambda p, t: p * (1 - 2 * t / 0.21), lambda p, t: (1 - 2 * (t > 0.1)) * p]
 )
 def test_a_surface_with_a_boundary_that_passes_through_a_point_is_warned_of(motion):
-    space = upper_half()
+    space = hemisphere(2)
     problem = ec.Problem(lambda x: 1 + x[:, 0], motion=motion)
     with pytest.warns(ec.EvolutionWarning, match="turned within its plane"):
         list(ec.evolve(space, problem, order=1, step=0.03, end=0.21))
 
 
 def test_a_surface_with_a_boundary_may_turn_and_shrink():
-    space = upper_half()
+    space = hemisphere(2)
     watch = guard(space)
     c, s = np.cos(1.5), np.sin(1.5)
     watch.look_at_surface(0.1 * space.nodes @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
