@@ -381,14 +381,18 @@ def main():
     """Run the suite, or the parts named, and keep what was measured."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[*SUITE, []], help="default: all")
-    parts = parser.parse_args().parts or list(SUITE)
+    parser.add_argument(
+        "--keep", type=Path, default=RESULTS, metavar="FILE", help="default: %(default)s"
+    )
+    given = parser.parse_args()
+    parts, kept = given.parts or list(SUITE), given.keep
     ngsolve.SetNumThreads(1)
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    results = json.loads(kept.read_text()) if kept.exists() else {}
     for part in parts:
         results[part] = SUITE[part]()
     results["machine"] = machine() | {"ngsolve": ngsolve.__version__}
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

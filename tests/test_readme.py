@@ -34,7 +34,8 @@ def test_the_speed_it_names_was_measured():
     (low, high), *others = re.findall(
         r"(\d+) to\s+(\d+)\s+times\s+as fast as with\s+NGSolve", README
     )
-    ratios = [row["ratio"] for row in campaign.performance()["step"]]
+    machines = campaign.performance(), campaign.performance("performance_xeon")
+    ratios = [row["ratio"] for found in machines for row in found["step"]]
     assert (int(low), int(high)) == (math.floor(min(ratios)), math.floor(max(ratios)))
     assert not others
 

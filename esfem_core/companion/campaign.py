@@ -90,8 +90,13 @@ def stored(name: str, /, **parameters: Any) -> list[Row]:
     return rows
 
 
-def performance() -> dict[str, Any]:
+def performance(name: str = "performance") -> dict[str, Any]:
     """The stored measurements of ``benchmarks/run.py``.
+
+    Parameters
+    ----------
+    name
+        ``"performance"``, or ``"performance_xeon"`` for those of a second machine.
 
     Raises
     ------
@@ -103,9 +108,11 @@ def performance() -> dict[str, Any]:
     >>> sorted(performance()["machine"])[:3]
     ['BLAS', 'date', 'esfem_core']
     """
-    path = DATA / "performance.json"
+    path = DATA / f"{name}.json"
     if not path.exists():
-        raise LookupError("no measurements are stored; make them with: python benchmarks/run.py")
+        raise LookupError(
+            f"no measurements {path.name} are stored; make them with: python benchmarks/run.py"
+        )
     found: dict[str, Any] = json.loads(path.read_text("utf8"))
     return found
 

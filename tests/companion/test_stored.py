@@ -54,6 +54,7 @@ def test_a_name_that_is_no_experiment_is_told_the_names_that_are():
 
 def test_measurements_that_are_not_there_are_told_with_the_command(monkeypatch, tmp_path):
     assert set(campaign.performance()) > {"machine", "step", "assembly"}
+    assert campaign.performance("performance_xeon").keys() == campaign.performance().keys()
     monkeypatch.setattr(campaign, "DATA", tmp_path)
     with pytest.raises(LookupError, match=r"make them with: python benchmarks/run\.py"):
         campaign.performance()
@@ -79,7 +80,7 @@ def test_a_wheel_contains_every_stored_result(wheel):
     names = {name.removeprefix(prefix) for name in ZipFile(wheel).namelist() if prefix in name}
     assert names == {path.name for path in campaign.DATA.iterdir()}
     assert {"performance.json", "verdicts.json", "stanford_bunny.ply"} < names
-    assert len(names) == 22
+    assert len(names) == 23
 
 
 def test_an_installed_package_reads_them_in_an_empty_folder(wheel, tmp_path):
