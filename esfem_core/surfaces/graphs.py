@@ -25,6 +25,7 @@ DEGREES = EXPONENTS.sum(axis=1)
 ROOTS = np.sqrt([1, 1, 1, 2, 1, 1, 3, 3, 1])
 
 RINGS, MOST_RINGS = 2, 4
+HUB = 200  # links of a point from which on no second ring goes through it: it would be everything
 ENOUGH = 14  # points of a fit: further rings are taken until there are as many
 NEEDED = np.array([0, 5, 12])  # points for terms of degree 1, 2, 3
 RIDGE = np.array([1e-9, 1e-7, 1e-5])  # on terms of degree 1, 2, 3: decides where points do not
@@ -155,12 +156,14 @@ def _neighbours(triangles: Ints, n: int) -> csr_array:
     i, j = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
     rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
     ring = coo_array((np.ones(len(rows), dtype=np.int64), (rows, columns)), (n, n)).tocsr()
-    reached = _others(ring + ring @ ring)
+    through = csr_array(ring.multiply(np.diff(ring.indptr) < HUB))
+    through.eliminate_zeros()
+    reached = _others(ring + through @ ring)
     for _ in range(RINGS, MOST_RINGS):
         few = np.diff(reached.indptr) < ENOUGH
         if not few.any():
             break
-        further = csr_array(ring.multiply(few[:, None]))
+        further = csr_array(through.multiply(few[:, None]))
         reached = _others(reached + further @ reached)
     return reached
 

@@ -13,6 +13,7 @@ import esfem_core as ec
 from esfem_core.companion import bunny
 from esfem_core.surfaces import displaced
 from esfem_core.surfaces.foot_points import FootPoints
+from esfem_core.surfaces.graphs import _neighbours
 from esfem_core.surfaces.smooth import _Flat
 
 TORUS = ec.exact_surfaces.Torus(1.0, 0.4)
@@ -352,3 +353,12 @@ def test_points_must_be_finite_and_of_three_coordinates():
         ValueError, match=r"coordinates up to 1, but one has the coordinate 1e\+200"
     ):
         surface([[0.0, 0.0, -1e200]])
+
+
+def test_hubs_of_many_triangles_do_not_make_everything_a_neighbour_of_everything():
+    n = 1500
+    can = trimesh.creation.cylinder(radius=1, height=2, sections=n)
+    assert _neighbours(can.faces, len(can.vertices)).nnz < 25 * len(can.vertices)  # and not n^2
+    ball = trimesh.creation.uv_sphere(1, count=[24, 110])  # its poles have 220 triangles
+    points = ec.smooth(ball)(ball.triangles_center)
+    assert_allclose(np.linalg.norm(points, axis=1), 1, atol=1e-4)
