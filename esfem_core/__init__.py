@@ -25,6 +25,7 @@ from esfem_core.stepping import (
     remeshed,
     respaced,
     save,
+    started_anew,
 )
 from esfem_core.surfaces import (
     MeshingError,
@@ -91,6 +92,7 @@ __all__ = [
     "save_table",
     "smooth",
     "sphere",
+    "started_anew",
     "study",
     "to_unit_sphere",
     "torus",

@@ -487,6 +487,9 @@ def doors() -> list[Door]:
         Door("respaced", ec.respaced,
              {"states": several(states), "step": number(0.1, 0, -1),
               "order": whole(2, 0, *HUGE, optional=True)}),
+        Door("started_anew", ec.started_anew,
+             {"state": one(last), "problem": one(problem), "order": whole(2, 0, *HUGE),
+              "step": number(0.1, 0, -1)}),
         # errors and studies
         Door("seminorm", ec.errors.seminorm, {"matrix": one(M), "w": array(u, after=True)}),
         Door("compare", ec.errors.compare,

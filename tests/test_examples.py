@@ -38,6 +38,14 @@ NUMBERS = {
         ("largest error of cold: ", 0, 2e-5),
         ("at the rim: .* cold ", 0, 0),
     ],
+    "jump": [
+        ("p = 2, in one run: .* order ", 1, 0.1),
+        ("p = 3, in one run: .* order ", 1, 0.1),
+        ("p = 1, started anew: .* order ", 1, 0.1),
+        ("p = 2, started anew: .* order ", 2, 0.2),
+        ("p = 3, started anew: .* order ", 3, 0.2),
+        ("p = 3, started anew: ", 1.1e-6, 2e-7),
+    ],
     "mean_curvature": [
         ("t = 0.16: radius ", 0.6, 1e-4),
         ("area at the end: ", 0.50120, 2e-5),

@@ -7,7 +7,7 @@ from esfem_core.stepping.files import write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.remeshing import remeshed
-from esfem_core.stepping.respacing import respaced
+from esfem_core.stepping.respacing import respaced, started_anew
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
 from esfem_core.stepping.start import exact_state
@@ -36,5 +36,6 @@ __all__ = [
     "respaced",
     "same_time",
     "save",
+    "started_anew",
     "write_whole",
 ]

@@ -1,19 +1,22 @@
-"""Runs that go on with another step: states interpolated in time."""
+"""Runs that go on with another step or under another law: states to start from."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from esfem_core.checks import Array, items, number, whole_number
+from esfem_core.checks import Array, items, number, object_of, whole_number
 from esfem_core.elements import SurfaceSpace
+from esfem_core.problems import Problem
 from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.checkpoints import space_of
+from esfem_core.stepping.run import evolve
 from esfem_core.stepping.state import Method, State
 from esfem_core.stepping.times import check_told_apart, later
 
-__all__ = ["respaced"]
+__all__ = ["respaced", "started_anew"]
 
 MOST = 6  # states that are made for another step, unless an order asks for more
 SAME_TIME = 1e-9  # relative to the step
@@ -82,6 +85,74 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
         )
     found = [_at_time(space, given, t, step, nearest) for t in reversed(times)]
     return [_for_step(state, given[-1].method, p, step) for state in found]
+
+
+def started_anew(state: State, problem: Problem, order: int, step: float) -> list[State]:
+    """States to go on with where a law, a force or a coefficient has just changed.
+
+    A run of order p needs p states that obey the same law. Where that changes at a time T, those
+    before T do not, and errors are O(tau) for every p. So p - 1 states after T are made from the
+    one at T, as at the start of a run: by linearly implicit Euler steps of step/1, ..., step/p,
+    extrapolated to order p, with updated mass matrices; p (p + 1)/2 of them for each state.
+
+    Parameters
+    ----------
+    state : State
+        The last one before the change, or any other that knows its space.
+    problem : Problem
+        What holds from then on. Functions that its law makes, such as the normal and curvature of
+        mean curvature flow, are made where the state lacks them.
+    order : int
+        Order p of the run that goes on.
+    step : float
+        Its step.
+
+    Returns
+    -------
+    list of State
+        At T, T + step, ..., T + (p - 1) step, for ``evolve(..., start=states)``, which yields all
+        of them again, the first one included; v is None in new ones.
+
+    Raises
+    ------
+    TypeError, ValueError, EvolutionError
+        As :func:`esfem_core.evolve` does.
+
+    Examples
+    --------
+    A sphere grows like 1 + t until t = 1/2, and then shrinks by its mean curvature, to the radius
+    sqrt(9/4 - 4/4) at t = 3/4:
+
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2), 2, ec.to_unit_sphere)
+    >>> grows = ec.Problem(u0=1.0, motion=lambda p, t: p * (1 + t))
+    >>> *_, state = ec.evolve(space, grows, order=2, step=1 / 80, end=1 / 2)
+    >>> shrinks = ec.Problem(species={"u": ec.Species(1.0)}, law=ec.laws.MeanCurvature())
+    >>> start = started_anew(state, shrinks, 2, 1 / 80)
+    >>> *_, last = ec.evolve(space, shrinks, order=2, step=1 / 80, end=3 / 4, start=start)
+    >>> print(f"{np.linalg.norm(last.x, axis=1).mean():.3f} {(9 / 4 - 1) ** 0.5:.3f}")
+    1.118 1.118
+    """
+    space = space_of([state])
+    law = object_of("problem", problem, Problem).law
+    p, step = whole_number("order", order, 1, MOST_STEPS), number("step", step, above=0)
+    made: Mapping[str, Array] = {}
+    if hasattr(law, "initial") and not problem.law_species.keys() <= state.fields.keys():
+        made = law.initial(state.surface())
+    states = [replace(state, fields={**made, **state.fields})]
+    for _ in range(p - 1):
+        t, found = later(states[-1].t, step), []
+        for m in range(1, p + 1):
+            *_, euler = evolve(space, problem, 1, step / m, t, start=states[-1:])
+            found.append(_at(1 / m, euler))
+        # The error is a polynomial in the step but for O(tau^{p+1}): its value at step 0.
+        states.append(replace(_at_time(space, found, 0.0, 1.0, p), t=t))
+    return states
+
+
+def _at(t: float, s: State) -> State:
+    """The state with another number for its time."""
+    return State(t, s.x, None, space=s.space, fields=s.fields, products=s.products, method=s.method)
 
 
 def _for_step(state: State, method: Method | None, order: int | None, step: float) -> State:

@@ -139,6 +139,10 @@ def evolve(
         on as if it had not been interrupted, to the last bit with direct solves and else to the
         tolerance of the solver; :func:`esfem_core.respaced` makes states that are another step
         apart.
+        BDF needs a past that obeys the same law: where a law, a force or a coefficient changes at a
+        time T, and likewise where it jumps in one run, errors are O(tau) for every p, and for p > 1
+        larger than those of Euler. There, end the run at T and go on with
+        ``start=esfem_core.started_anew(states[-1], problem, order, step)``.
         Exact values at (p - 1) tau also restart the spatial error there: to compare runs with
         different steps on one mesh, start them all with "euler" or with states of the finest.
     solver : {"lagged", "cholmod", "direct"} or callable
@@ -416,9 +420,11 @@ def _check_functions(name: str, problem: Problem, state: State) -> None:
     for key, species in problem.all_species.items():
         if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
-            made = key in problem.law_species and hasattr(problem.law, "initial")
-            advice = "; law.initial(state.surface()) has those that the law makes" if made else ""
-            raise ValueError(f"{name} must have the function {key!r}, it has {known}{advice}")
+            values = "state.v" if key == "velocity" else "values"
+            advice = f"dataclasses.replace(state, fields={{**state.fields, {key!r}: {values}}})"
+            if key in problem.law_species and species.initial is None:
+                advice = "esfem_core.started_anew(state, problem, order, step) makes it"
+            raise ValueError(f"{name} must have the function {key!r}, it has {known}; {advice}")
         trailing = state[key].shape[1:]
         if np.ndim(species.diffusivity) == 1 and np.shape(species.diffusivity) != trailing:  # type: ignore[arg-type]
             raise ValueError(

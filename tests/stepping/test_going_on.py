@@ -202,7 +202,7 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
         (
             lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],
             ValueError,
-            r"start\[1\] must have the function 'b', it has 'a'",
+            r"start\[1\] must have the function 'b', it has 'a'; dataclasses\.replace\(",
         ),
         (
             lambda s: [s[0], ec.State(s[1].t, s[1].x)],

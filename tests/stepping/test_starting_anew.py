@@ -1,0 +1,122 @@
+"""Where a law, a force or a coefficient changes, a run goes on at its order from one state."""
+
+import numpy as np
+import pytest
+from coupled import SPACE, coupled, growth
+
+import esfem_core as ec
+
+T = 0.5
+
+
+def jumping(before=T + 1e-9):
+    """A force, a source and a diffusivity that are others from T on."""
+    return ec.Problem(
+        species={
+            "u": ec.Species(
+                lambda x: 1 + x[:, 0] * x[:, 1],
+                lambda at: (1.0 if at.t < before else -2.0) * at.u,
+                diffusivity=lambda at: np.full(at.density.shape, 1.0 if at.t < before else 0.2),
+            ),
+            "free": ec.Species(lambda x: x[:, 2], conserved=False),
+        },
+        law=ec.laws.Regularised(
+            0.5, 0.3, lambda at: growth(at) if at.t < before else -growth(at) / 2
+        ),
+    )
+
+
+def run(problem, p, step, anew=True):
+    if not anew:
+        return list(ec.evolve(SPACE, problem, p, step, 1.0))[-1]
+    *_, state = ec.evolve(SPACE, problem, p, step, T, start="euler")
+    start = ec.started_anew(state, problem, p, step)
+    return list(ec.evolve(SPACE, problem, p, step, 1.0, start=start))[-1]
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return run(jumping(), 5, 1 / 320)
+
+
+def rates(problem, p, fine, **options):
+    errors = [
+        ec.errors.difference(SPACE, run(problem, p, 1 / n, **options), fine) for n in (40, 80)
+    ]
+    return [np.log2(getattr(errors[0], k) / getattr(errors[1], k)) for k in ("x_l2", "u_l2")]
+
+
+@pytest.mark.parametrize("p", [1, 2, 3, 4])
+def test_a_run_goes_on_across_a_jump_at_its_order(p, fine):
+    """Positions and a density, on the same mesh."""
+    for rate in rates(jumping(), p, fine):
+        assert p - 0.35 < rate < p + 1.2
+
+
+@pytest.mark.parametrize("p", [2, 3])
+def test_one_run_across_a_jump_is_of_first_order(p, fine):
+    """Of the positions, as `evolve` says; it is why the above is there."""
+    rate, _ = rates(jumping(), p, fine, anew=False)
+    assert 0.8 < rate < 1.3
+
+
+def test_the_states_begin_with_the_given_one_and_keep_the_amount():
+    problem = coupled()
+    *_, state = ec.evolve(SPACE, problem, 3, 0.05, 0.4)
+    start = ec.started_anew(state, problem, 4, 0.02)
+    assert [s.t for s in start] == pytest.approx([0.4, 0.42, 0.44, 0.46], abs=1e-15)
+    np.testing.assert_array_equal(start[0].x, state.x)
+    amounts = [ec.measure(s).amount for s in start]
+    np.testing.assert_allclose(amounts, amounts[0], rtol=1e-12)
+    assert [s.t for s in ec.started_anew(state, problem, 1, 0.02)] == [0.4]
+
+
+@pytest.mark.parametrize("p", [2, 3])
+def test_another_law_gets_the_functions_that_it_makes(p):
+    """A sphere of radius 3/2 shrinks by its mean curvature, as one that begins there."""
+    grows = ec.Problem(1.0, motion=lambda q, t: q * (1 + t))
+    shrinks = ec.Problem(species={"u": ec.Species(1.0)}, law=ec.laws.MeanCurvature())
+    *_, state = ec.evolve(SPACE, grows, p, 1 / 20, T)
+    start = ec.started_anew(state, shrinks, p, 1 / 20)
+    *_, last = ec.evolve(SPACE, shrinks, p, 1 / 20, 0.75, start=start)
+    begins = ec.SurfaceSpace.from_nodes(state.x, SPACE.cells)
+    shrinks = ec.Problem(species={"u": ec.Species(state.u)}, law=ec.laws.MeanCurvature())
+    *_, other = ec.evolve(begins, shrinks, p, 1 / 20, 0.25)
+    np.testing.assert_allclose(last.x, other.x, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(last.u, other.u, rtol=0, atol=1e-9)
+
+
+def test_the_dynamic_law_goes_on_with_the_velocity_of_the_state():
+    """As the message says: nothing else makes it."""
+    grows = ec.Problem(1.0, motion=lambda q, t: q * (1 + t))
+    coasts = ec.Problem(law=ec.laws.Dynamic(alpha=0.1))
+    *_, state = ec.evolve(SPACE, grows, 2, 0.05, T)
+    with pytest.raises(ValueError, match=r"'velocity', it has 'u'; .*'velocity': state\.v}\)$"):
+        ec.started_anew(state, coasts, 2, 0.05)
+    fields = {**state.fields, "velocity": state.v}
+    state = ec.State(state.t, state.x, state.v, space=SPACE, fields=fields)
+    start = ec.started_anew(state, coasts, 2, 0.05)
+    assert np.linalg.norm(start[1].x, axis=1).mean() > np.linalg.norm(state.x, axis=1).mean() + 0.04
+
+
+def test_what_it_is_given_is_looked_at():
+    problem = coupled()
+    state = next(ec.evolve(SPACE, problem, 1, 0.05, 0.4))
+    with pytest.raises(TypeError, match="problem must be"):
+        ec.started_anew(state, None, 2, 0.1)
+    with pytest.raises(TypeError, match=r"states\[0\]"):
+        ec.started_anew(None, problem, 2, 0.1)
+    with pytest.raises(ValueError, match="step must be a finite number > 0"):
+        ec.started_anew(state, problem, 2, 0)
+    with pytest.raises(ValueError, match="order must be an integer from 1 to"):
+        ec.started_anew(state, problem, 0, 0.1)
+
+
+def test_states_of_another_law_name_it():
+    """Of the normal, which mean curvature flow makes."""
+    *_, state = ec.evolve(SPACE, coupled(), 1, 0.05, 0.1)
+    flow = ec.Problem(law=ec.laws.MeanCurvature())
+    with pytest.raises(ValueError, match=r"'normal', .*; esfem_core\.started_anew\(state, problem"):
+        ec.evolve(SPACE, flow, 1, 0.01, 0.2, start=[state])
+    start = ec.started_anew(state, flow, 1, 0.01)
+    assert [s.t for s in ec.evolve(SPACE, flow, 1, 0.01, 0.11, start=start)] == [0.1, 0.11]
