@@ -11,6 +11,7 @@ algorithm another way, is called ``require_...``.
 
 import math
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from numbers import Integral, Real
@@ -36,6 +37,7 @@ __all__ = [
     "integer_array",
     "items",
     "iterable",
+    "level_outside",
     "mapping",
     "number",
     "object_of",
@@ -655,6 +657,17 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
     if wrong.any():
         raise ValueError(f"{name} must hold integers, but {_first(name, array, wrong)}")
     return integers
+
+
+def level_outside() -> int:
+    """Which stacklevel a warning needs to show the line of the user, outside of this package.
+
+    Such as the loop over a run: the first caller that is none of our modules.
+    """
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").startswith("esfem_core."):
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _entry(value: object) -> object:

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, real_array
+from esfem_core.checks import Array, finite_array, level_outside, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
 from esfem_core.problems import Exact, Problem
@@ -295,7 +295,7 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
             f"order {order}, got {step:g}: with more, nodes run away; a smaller rate allows longer "
             "steps",
             EvolutionWarning,
-            stacklevel=3,
+            stacklevel=level_outside(),
         )
     at = Surface(space, first.x, first.fields, first.t)
     w = law.slip(at)
@@ -311,7 +311,7 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
             "away, since the step is too long for this slip, or the normal that the law evolves is "
             "far from that of the mesh; start before that, with a smaller step or rate",
             EvolutionWarning,
-            stacklevel=3,
+            stacklevel=level_outside(),
         )
     elif share > NORMAL:
         warnings.warn(
@@ -320,7 +320,7 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
             "at the nodes from esfem_core.elements.nodal_average(at, at.normal), each divided by "
             "its length",
             EvolutionWarning,
-            stacklevel=3,
+            stacklevel=level_outside(),
         )
 
 

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import items, output_path, path_of, shown
+from esfem_core.checks import items, level_outside, output_path, path_of, shown
 from esfem_core.elements import SurfaceSpace
 from esfem_core.stepping.files import write_whole
-from esfem_core.stepping.guard import EvolutionWarning, level_outside
+from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import (
     EvolutionError,
     State,

@@ -1,17 +1,16 @@
 """A wrong state is never yielded as good: what is looked at in every step."""
 
-import sys
 import warnings
 from collections.abc import Mapping
 
 import numpy as np
 
-from esfem_core.checks import Array
+from esfem_core.checks import Array, level_outside
 from esfem_core.elements import DegenerateElementError, SurfaceSpace
 from esfem_core.stepping.folding import fold_of
 from esfem_core.surfaces import FLATTEST, components
 
-__all__ = ["EvolutionWarning", "Guard", "level_outside"]
+__all__ = ["EvolutionWarning", "Guard"]
 
 NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survive for long
 NARROW_TURN = 0.5  # cosine: a narrow triangle turns by 60 degrees within a step at most
@@ -260,14 +259,6 @@ class Guard:
         if kind not in self._warned:
             self._warned.add(kind)
             warnings.warn(text, EvolutionWarning, stacklevel=level_outside())
-
-
-def level_outside() -> int:
-    """Of the first caller outside of this package, such as the loop over a run."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").startswith("esfem_core."):
-        level, frame = level + 1, frame.f_back
-    return level
 
 
 def _dot(a: Array, b: Array) -> Array:

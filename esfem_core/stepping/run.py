@@ -16,6 +16,7 @@ from esfem_core.checks import (
     flag,
     function,
     items,
+    level_outside,
     number,
     object_of,
     one_of,
@@ -344,7 +345,7 @@ def _checked_order(order: int, allow_unstable: bool) -> int:
     if order == 6:
         warnings.warn(
             "BDF6 has no multiplier 1 - eta zeta: the stability proofs of both papers stop at 5",
-            stacklevel=3,
+            stacklevel=level_outside(),
         )
     return order
 
@@ -520,7 +521,7 @@ def _warn_of_no_alpha(space: SurfaceSpace, order: int) -> None:
         )
     else:
         return
-    warnings.warn(text, EvolutionWarning, stacklevel=4)
+    warnings.warn(text, EvolutionWarning, stacklevel=level_outside())
 
 
 def _solver_factory(

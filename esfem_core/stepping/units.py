@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from esfem_core.checks import Array
+from esfem_core.checks import Array, level_outside
 from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import Dynamic, Regularised
 from esfem_core.problems import Problem
 from esfem_core.stepping.agreement import innermost
-from esfem_core.stepping.guard import EvolutionWarning, level_outside
+from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
 
 __all__ = ["check_units", "factor_to_size_one"]

@@ -33,6 +33,7 @@ from esfem_core.checks import (
     function,
     items,
     iterable,
+    level_outside,
     mapping,
     object_of,
     one_of,
@@ -423,7 +424,7 @@ class _Campaign:
             self._stop()
             if self._unsaved:
                 text = str(set_aside(self._unsaved, self._reason))
-                warnings.warn(text, StudyWarning, stacklevel=2)
+                warnings.warn(text, StudyWarning, stacklevel=level_outside())
             raise
         self._stop()
         if self._unsaved:
@@ -466,7 +467,7 @@ class _Campaign:
         warnings.warn(
             f"the executor is broken ({type(reason).__name__}: {reason}): new processes go on",
             StudyWarning,
-            stacklevel=2,
+            stacklevel=level_outside(),
         )
         self._executor = self._own = Processes(None, self._threads)
         self._limit = min(self._limit, self._own.workers)
@@ -526,7 +527,7 @@ class _Campaign:
                     f"{store.path} cannot be written ({reason_of(error)}): finished rows are kept "
                     "in memory until it can",
                     StudyWarning,
-                    stacklevel=2,
+                    stacklevel=level_outside(),
                 )
             self._unsaved.append((store, row))
             self._reason = error

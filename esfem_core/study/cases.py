@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import iterable, shown
+from esfem_core.checks import iterable, level_outside, shown
 from esfem_core.study.campaign import (
     Experiment,
     Failure,
@@ -271,7 +271,7 @@ def run(
         warnings.warn(
             f"{len(failures)} of the cases failed, the first one with {first}",
             StudyWarning,
-            stacklevel=2,
+            stacklevel=level_outside(),
         )
     keys = dict.fromkeys(case_key(case) for chain in study.chains for case in chain)
     return Results([rows[key] for key in keys if key in rows], failures)

@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from esfem_core.checks import level_outside
+
 __all__ = ["FileLocks", "StudyWarning"]
 
 fcntl: Any = None
@@ -114,7 +116,7 @@ class FileLocks:
                 f"{self.path.parent} is on a file system without locks ({error.strerror}): do not "
                 "start a study twice at once",
                 StudyWarning,
-                stacklevel=2,
+                stacklevel=level_outside(),
             )
         return True
 

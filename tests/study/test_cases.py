@@ -558,10 +558,11 @@ def test_a_loop_that_is_left_at_the_last_case_tells_where_its_row_is(tmp_path):
     coming = ec.study.outcomes(
         [ec.study.Experiment("a", "", compute, [[{"size": 1}]])], folder, workers=0
     )
-    with pytest.warns(StudyWarning, match="cannot be written"):
+    with pytest.warns(StudyWarning, match="cannot be written") as unwritten:
         assert next(coming).row
-    with pytest.warns(StudyWarning, match="1 finished rows could not be written"):
+    with pytest.warns(StudyWarning, match="1 finished rows could not be written") as aside:
         coming.close()
+    assert {one.filename for one in (*unwritten, *aside)} == {__file__}
 
 
 def test_a_folder_is_no_file_of_rows_and_numbers_are_no_rows(tmp_path):

@@ -1,6 +1,7 @@
 """Tables of errors and observed orders."""
 
 import copy
+import warnings
 
 import numpy as np
 import pytest
@@ -192,6 +193,23 @@ def test_studies_of_nothing_are_refused():
         space_study([], GROWING, 2, 0.1, 0.5)
     with pytest.raises(ValueError, match=r"steps must have shape \(n,\), got \(\)"):
         time_study(SPACE, GROWING, 2, 0.1, 0.5)
+
+
+def test_warnings_of_the_runs_of_a_study_show_the_line_that_calls_it():
+    small = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    without_alpha = ec.Problem(law=ec.laws.Regularised(alpha=0.0, beta=0.01))
+    fast = ec.Problem(1.0, diffusivity=1e12, motion=lambda p, t: p)
+    still = 0 * small.nodes
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        time_study(small, GROWING, 6, [1 / 16], 0.5)
+        for problem, order in ((without_alpha, 4), (fast, 1)):
+            values = dict.fromkeys(problem.species, still[:, 0])
+            last = ec.State(0.25, small.nodes, still, **values)
+            time_study(small, problem, order, [1 / 16], 0.25, last, start="euler")
+    said = " ".join(str(one.message) for one in found)
+    assert all(text in said for text in ("BDF6", "unstable for p = 4", "rounding takes"))
+    assert {one.filename for one in found} == {__file__}
 
 
 def test_studies_refuse_before_they_compute():

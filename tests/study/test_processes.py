@@ -123,9 +123,10 @@ def test_a_pool_that_breaks_is_replaced(tmp_path):
     context = multiprocessing.get_context("spawn")
     with (
         ProcessPoolExecutor(1, mp_context=context) as pool,
-        pytest.warns(StudyWarning, match="^the executor is broken .* new processes go on$"),
+        pytest.warns(StudyWarning, match="^the executor is broken .* new processes go on$") as told,
     ):
         results = run(cases, weak, tmp_path, pool, workers=1, progress=False)
+    assert told[0].filename == __file__
     assert [row.parameters["size"] for row in results.rows] == [0, 3, 5]
     assert results.failures == []
 
