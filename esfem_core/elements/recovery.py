@@ -15,7 +15,7 @@ from esfem_core.checks import Array, real_array
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.elements.surface import Surface, check_surface
 from esfem_core.solvers import superlu
-from esfem_core.surfaces import smooth
+from esfem_core.surfaces import normals_of, smooth
 
 __all__ = ["Smoothing", "nodal_average", "normal_and_curvature", "smoothed", "smoothed_divergence"]
 
@@ -196,7 +196,8 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
 def _check_curves(tri: trimesh.Trimesh) -> None:
     """Refuse triangles that are too flat for a smooth surface, tried where some are flat."""
     edges = np.roll(tri.triangles, -1, axis=1) - tri.triangles
-    shape = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / (edges**2).sum((1, 2))
+    double_area = np.linalg.norm(normals_of(tri.vertices, tri.faces), axis=1)
+    shape = double_area / (edges**2).sum((1, 2))
     t = int(np.argmin(shape))
     if shape[t] > FLAT:
         return

@@ -49,6 +49,7 @@ from esfem_core.surfaces import (
     check_triangulation,
     curved_elements,
     fault,
+    normals_of,
     sides_of,
     turned_to_agree,
     turned_to_outside,
@@ -353,13 +354,14 @@ class SurfaceSpace:
             raise ValueError(
                 f"nodes must make elements with an area at all quadrature points, but {error}"
             ) from error
-        a, b, c = self.nodes[self.cells[:, :3].T]
-        cosine = np.einsum("tqi,ti->tq", normal, np.cross(b - a, c - a))
+        corners = self.cells[:, :3]
+        cosine = np.einsum("tqi,ti->tq", normal, normals_of(self.nodes, corners))
         if not cosine.min() > 0:
             t = int(np.argmin(cosine.min(axis=1)))
+            near = self.nodes[corners[t, 0]]
             raise ValueError(
                 "nodes must make elements that do not fold back, but the normal of element "
-                f"{t}, near {a[t].round(6).tolist()}, is turned by more than a right angle against "
+                f"{t}, near {near.round(6).tolist()}, is turned by more than a right angle against "
                 f"that of its flat triangle: place the nodes nearer to it{advice}"
             )
 

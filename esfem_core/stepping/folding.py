@@ -4,6 +4,7 @@ import numpy as np
 
 from esfem_core.checks import Array
 from esfem_core.elements import ElementError, SurfaceSpace
+from esfem_core.surfaces import normals_of
 
 __all__ = ["fold_of"]
 
@@ -32,9 +33,9 @@ def fold_of(space: SurfaceSpace, x: Array, normal: Array) -> tuple[int, str] | N
     >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     >>> x = space.nodes.copy()
     >>> x[0] *= -0.9  # one of the six corners, to the opposite one
-    >>> fold_of(space, x, _normals(space, x))
+    >>> fold_of(space, x, normals_of(x, space.cells).T)
     (0, 'lies on element 3, with 53 degrees between them')
-    >>> fold_of(space, space.nodes, _normals(space, space.nodes)) is None
+    >>> fold_of(space, space.nodes, normals_of(space.nodes, space.cells).T) is None
     True
     """
     return _between_neighbours(space, normal) or _inside(space, x, normal)
@@ -44,7 +45,7 @@ def _between_neighbours(space: SurfaceSpace, normal: Array) -> tuple[int, str] |
     cosine = _cosines(space, normal)
     if not cosine.min(initial=1) < FOLDED:
         return None
-    start = _cosines(space, _normals(space, space.nodes))
+    start = _cosines(space, normals_of(space.nodes, space.cells[:, :3]).T)
     cosine[cosine > start - MORE] = 1
     pair = int(np.argmin(cosine))
     if not cosine[pair] < FOLDED:
@@ -66,12 +67,6 @@ def _inside(space: SurfaceSpace, x: Array, normal: Array) -> tuple[int, str] | N
     if lowest[element] >= 0:
         return None
     return element, "has a normal at more than a right angle to that of its flat triangle"
-
-
-def _normals(space: SurfaceSpace, x: Array) -> Array:
-    """Normals of the flat triangles, (3, T)."""
-    a, b, c = x[space.cells[:, :3].T]
-    return np.asarray(np.cross(b - a, c - a).T)
 
 
 def _cosines(space: SurfaceSpace, normal: Array) -> Array:

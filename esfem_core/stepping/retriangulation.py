@@ -24,7 +24,7 @@ from esfem_core.elements import (
     node_indices,
     tabulate,
 )
-from esfem_core.surfaces import Guide, MeshingError, evened, resized, without_unused
+from esfem_core.surfaces import Guide, MeshingError, evened, normals_of, resized, without_unused
 
 __all__ = ["Transfer", "components_of_nodes", "triangulated"]
 
@@ -127,7 +127,7 @@ def _unit_normals(at: Surface, given: Array | None) -> Array:
             f"{at.x[i].tolist()}, {why}"
         )
     cells = at.space.cells[:, :3]
-    if given is not None and np.einsum("ti,tai->", _planes(at.x[cells]), normal[cells]) < 0:
+    if given is not None and np.einsum("ti,tai->", _planes(at.x, cells), normal[cells]) < 0:
         raise ValueError('the vectors "normal" of the last state must point outwards, not inwards')
     return np.asarray(normal / length)
 
@@ -163,14 +163,14 @@ def _graded(at: Surface, lengths: Array) -> Array:
 def _allowed_turn(at: Surface, normal: Array) -> float:
     """Cosine of 60 degrees, or of more where the surface turns by more within old elements."""
     cells = at.space.cells[:, :3]
-    cosine = np.einsum("ti,tai->ta", _planes(at.x[cells]), normal[cells]).min()
+    cosine = np.einsum("ti,tai->ta", _planes(at.x, cells), normal[cells]).min()
     found = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     return float(np.cos(np.radians(np.clip(found + SLACK, MAX_TURN, LAST_TURN))))
 
 
-def _planes(corners: Array) -> Array:
-    """Unit normals of triangles (T, 3, 3)."""
-    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+def _planes(x: Array, faces: Ints) -> Array:
+    """Unit normals of triangles, (T, 3)."""
+    n = normals_of(x, faces)
     return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
 
 
@@ -195,7 +195,7 @@ def _transfer(at: Surface, vertices: Array, faces: Ints) -> Transfer:
 def _folded(space: SurfaceSpace, x: Array) -> Bools:
     """Which elements turn by a right angle, or nearly, against the triangle of their corners."""
     curved = Surface(space, x).normal
-    cosine = np.einsum("ti,tqi->tq", _planes(x[space.cells[:, :3]]), curved)
+    cosine = np.einsum("ti,tqi->tq", _planes(x, space.cells[:, :3]), curved)
     return np.asarray(cosine.min(axis=1) < FOLDED)
 
 
@@ -217,7 +217,7 @@ def _flattened(space: SurfaceSpace, which: Bools) -> csr_array:
 def _follows(at: Surface, normal: Array, transfer: Transfer, turn: float) -> Bools:
     """Which new triangles do not turn too much against the old surface, and join no two parts."""
     cells, P = transfer.cells, transfer.interpolation
-    plane = _planes(np.asarray(P @ at.x)[cells[:, :3]])
+    plane = _planes(np.asarray(P @ at.x), cells[:, :3])
     n = np.asarray(P @ normal)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.einsum("ti,tai->ta", plane, n[cells]).min(axis=1)

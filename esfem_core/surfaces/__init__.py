@@ -12,7 +12,13 @@ from esfem_core.surfaces.faults import FLATTEST, Fault, fault
 from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
-from esfem_core.surfaces.orientation import components, sides_of, turned_to_agree, turned_to_outside
+from esfem_core.surfaces.orientation import (
+    components,
+    normals_of,
+    sides_of,
+    turned_to_agree,
+    turned_to_outside,
+)
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
 from esfem_core.surfaces.repair import check_coordinates, repair, without_unused
@@ -49,6 +55,7 @@ __all__ = [
     "flip",
     "from_level_set",
     "mesh_quality",
+    "normals_of",
     "project_to_level_set",
     "read_mesh",
     "repair",

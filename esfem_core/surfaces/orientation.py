@@ -199,7 +199,7 @@ def shells(vertices: Array, faces: Ints) -> Shells:
     # Relative to a vertex of its own, so that places far from the origin cost no digits.
     a, b, c = (vertices[corner] - vertices[faces[first, 0]][label] for corner in faces.T)
     volume = np.bincount(label, (a * np.cross(b, c)).sum(axis=1)) / 6
-    area = np.bincount(label, np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2
+    area = np.bincount(label, np.linalg.norm(normals_of(vertices, faces), axis=1)) / 2
     low, high = _boxes(vertices, faces, label, len(first))
     flat = np.abs(volume) <= FLAT * area * np.linalg.norm(high - low, axis=1)
     return Shells(label, volume, _depths(vertices, faces, label, low, high), flat)
