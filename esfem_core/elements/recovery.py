@@ -9,13 +9,12 @@ twelve vertices with five triangles, on however fine a mesh. What converges at e
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, real_array
 from esfem_core.elements.space import SurfaceSpace
 from esfem_core.elements.surface import Surface, check_surface
 from esfem_core.solvers import superlu
-from esfem_core.surfaces import normals_of, smooth
+from esfem_core.surfaces import components, normals_of, smooth
 
 __all__ = ["Smoothing", "nodal_average", "normal_and_curvature", "smoothed", "smoothed_divergence"]
 
@@ -220,7 +219,7 @@ class Smoothing:
     """
 
     def __init__(self, at: Surface) -> None:
-        component = connected_components(at.space.pattern, directed=False)[1][at.space.cells[:, 0]]
+        component = components(at.space.cells[:, :3])
         area = np.bincount(component, at.density @ at.space.rule.weights)
         square = 4 / np.sqrt(3) * (area / np.bincount(component))[component]  # h^2
         weight = np.broadcast_to(LENGTH * square[:, None], at.density.shape)

@@ -17,9 +17,9 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.laws import positions_of
 from esfem_core.problems import Problem
 from esfem_core.stepping.checkpoints import space_of
-from esfem_core.stepping.retriangulation import Transfer, components_of_nodes, triangulated
+from esfem_core.stepping.retriangulation import Transfer, triangulated
 from esfem_core.stepping.state import State, known_space
-from esfem_core.surfaces import edges_of, smooth
+from esfem_core.surfaces import components, edges_of, smooth
 
 __all__ = ["remeshed", "transferred"]
 
@@ -189,8 +189,10 @@ def _on(
     law: Any = None if problem is None else problem.law
     if hasattr(law, "position"):
         x = positions_of(law, space.nodes, state.t, (state.t, x))
-    before = components_of_nodes(old)
-    after = before[old.cells[transfer.cell, 0]]
+    component = components(old.cells[:, :3])
+    before = np.empty(len(old.nodes), dtype=np.int64)
+    before[old.cells] = component[:, None]
+    after = component[transfer.cell]
     M = space.mass(x)
     fields, products = {}, {}
     for name, w in state.fields.items():

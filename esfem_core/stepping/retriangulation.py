@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 
 from esfem_core.checks import Array, Bools, Ints
 from esfem_core.elements import (
@@ -24,9 +24,17 @@ from esfem_core.elements import (
     node_indices,
     tabulate,
 )
-from esfem_core.surfaces import Guide, MeshingError, evened, normals_of, resized, without_unused
+from esfem_core.surfaces import (
+    Guide,
+    MeshingError,
+    components,
+    evened,
+    normals_of,
+    resized,
+    without_unused,
+)
 
-__all__ = ["Transfer", "components_of_nodes", "triangulated"]
+__all__ = ["Transfer", "triangulated"]
 
 FEWEST = 20  # triangles that a component must have room for, as many as an icosahedron has
 MOST = 10**6  # triangles
@@ -221,14 +229,14 @@ def _follows(at: Surface, normal: Array, transfer: Transfer, turn: float) -> Boo
     n = np.asarray(P @ normal)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.einsum("ti,tai->ta", plane, n[cells]).min(axis=1)
-    component = components_of_nodes(at.space)[at.space.cells[transfer.cell, 0]]
+    component = components(at.space.cells[:, :3])[transfer.cell]
     torn = (component[cells] != component[cells[:, :1]]).any(axis=1)
     return np.asarray((cosine > turn) & ~torn)
 
 
 def _check_room(at: Surface, h: float) -> None:
     """Refuse a length that leaves a component too few triangles, or would make too many."""
-    component = components_of_nodes(at.space)[at.space.cells[:, 0]]
+    component = components(at.space.cells[:, :3])
     areas = np.bincount(component, at.density @ at.space.rule.weights)
     triangle = np.sqrt(3) / 4
     limit = float(np.sqrt(areas.min() / (FEWEST * triangle)))
@@ -243,9 +251,3 @@ def _check_room(at: Surface, h: float) -> None:
         raise ValueError(
             f"h must be at least {least!r}, so that there are at most {MOST} triangles, got {h:g}"
         )
-
-
-def components_of_nodes(space: SurfaceSpace) -> Ints:
-    """Which component of the surface each node belongs to, (N,)."""
-    labels = connected_components(space.pattern, directed=False)[1]
-    return np.asarray(labels, dtype=np.int64)
