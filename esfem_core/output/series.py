@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from esfem_core.checks import flag, iterable, object_of, output_path
-from esfem_core.output.curved import nodal_normals
+from esfem_core.elements import nodal_average
 from esfem_core.stepping import State, check_state, known_space, write_whole
 
 __all__ = ["SeriesWriter", "save_series"]
@@ -130,7 +130,9 @@ class SeriesWriter:
         velocity = np.full_like(state.x, np.nan) if state.v is None else state.v
         more = {"v": velocity}
         if self._normals:
-            more["normals"] = nodal_normals(space, state.x)
+            at = state.surface()
+            normals = nodal_average(at, at.normal)
+            more["normals"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         for name in more:
             if name in state.fields:
                 raise ValueError(f"a function must not be called {name!r}: that is written, too")
