@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from esfem_core.checks import items, path_of, shown
+from esfem_core.stepping import write_whole
 from esfem_core.study.locks import FileLocks
 
 __all__ = [
@@ -334,7 +335,7 @@ class Store:
                 return deepcopy(old)
             if old:
                 rows = self._rows | {key: row}
-                self._replace(b"".join(map(_line, rows.values())))
+                write_whole(self.path, b"".join(map(_line, rows.values())))
             else:
                 self._append(_line(row))
         return row
@@ -381,17 +382,6 @@ class Store:
             except BaseException:
                 file.truncate(end)
                 raise
-
-    def _replace(self, data: bytes) -> None:
-        """Put a new file in the place of the old one; an interruption leaves the old one."""
-        other = self.path.with_name(f".{self.path.name}.new")
-        try:
-            with other.open("wb", buffering=0) as file:
-                _write(file.fileno(), data)
-            other.replace(self.path)
-        except BaseException:
-            other.unlink(missing_ok=True)
-            raise
 
 
 def _write(file: int, data: bytes) -> None:
