@@ -98,7 +98,7 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
     normal = _unit_normals(at, normal)
     turn = _allowed_turn(at, normal)
     lengths = _lengths(at, h, normal)
-    vertices, faces = without_unused(x, space.cells[:, :3], [])
+    vertices, faces = without_unused(x, space.cells[:, :3])
     for _ in range(ATTEMPTS):
         lengths = _graded(at, lengths)
         planes = TangentPlanes(at, SPACING * lengths[space.cells].min(axis=1), normal)

@@ -19,9 +19,10 @@ from esfem_core.surfaces.orientation import (
     turned_to_agree,
     turned_to_outside,
 )
+from esfem_core.surfaces.places import without_unused
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
-from esfem_core.surfaces.repair import check_coordinates, repair, without_unused
+from esfem_core.surfaces.repair import check_coordinates, repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
 

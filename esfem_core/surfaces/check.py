@@ -6,8 +6,8 @@ import trimesh
 from esfem_core.checks import Array, Ints, flag
 from esfem_core.surfaces.faults import check_is_trimesh, fault
 from esfem_core.surfaces.orientation import sides_of
-from esfem_core.surfaces.places import gap_of, joined
-from esfem_core.surfaces.repair import check_coordinates, remedy, without_unused
+from esfem_core.surfaces.places import gap_of, joined, without_unused
+from esfem_core.surfaces.repair import check_coordinates, remedy
 
 __all__ = ["boundary_advice", "check_triangulation"]
 
@@ -81,6 +81,6 @@ def _seam_advice(vertices: Array, faces: Ints) -> str:
     moved, _ = joined(vertices, faces)
     if moved is faces or not (sides_of(moved).times == 1).any():
         return ""
-    left = fault(*without_unused(vertices, moved, []), boundary=True)
+    left = fault(*without_unused(vertices, moved), boundary=True)
     how = "; where the motion is prescribed, a SurfaceSpace with boundary=True takes it after "
     return f"{how}tri = ec.read_mesh(tri)" if left is None else ""

@@ -31,8 +31,16 @@ from esfem_core.checks import (
 from esfem_core.surfaces.check import boundary_advice
 from esfem_core.surfaces.faults import fault
 from esfem_core.surfaces.orientation import components, sides_of
-from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, merging, repeated
-from esfem_core.surfaces.repair import check_coordinates, counted, remedy, without_unused
+from esfem_core.surfaces.places import (
+    NEAR,
+    diagonal_of,
+    joined,
+    merged,
+    merging,
+    repeated,
+    without_unused,
+)
+from esfem_core.surfaces.repair import check_coordinates, counted, dropping, remedy
 from esfem_core.surfaces.text_files import (
     check_ply,
     counted_from_the_first,
@@ -177,7 +185,10 @@ def read_mesh(
             "0; it may have been cut off, or have been written with another count"
         )
     check_coordinates(f"source, {found.name},", vertices, faces)
-    vertices, faces = without_unused(vertices, faces, [] if curved else steps)
+    given = len(vertices)
+    vertices, faces = without_unused(vertices, faces)
+    if not curved:
+        steps += dropping(given - len(vertices))
     vertices, faces = _joined(vertices, faces, steps)
     scale, unit = _scale(found, unit)
     made = trimesh.Trimesh(scale * vertices, faces, process=False)
@@ -261,7 +272,8 @@ def curved_elements(source: Any) -> Elements:
         )
     check_coordinates(f"source, {found.name},", found.points, cells)
     _tell_left_out(found)
-    nodes, cells = without_unused(found.points, cells, found.notes)
+    nodes, cells = without_unused(found.points, cells)
+    found.notes.extend(dropping(len(found.points) - len(nodes)))
     nodes, cells = _with_shared_nodes(nodes, cells, found.notes)
     _, once = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
     if len(once) < len(cells):
@@ -282,7 +294,7 @@ def _with_shared_nodes(nodes: Array, cells: Ints, notes: list[str]) -> tuple[Arr
         count = len(np.unique(place))
         if count < len(nodes):
             notes.append(merging(len(nodes), "nodes", count, near * diagonal))
-            nodes, cells = without_unused(nodes, place, [])
+            nodes, cells = without_unused(nodes, place)
     return nodes, cells
 
 
@@ -453,7 +465,7 @@ def _scene(path: Path, kind: str) -> Any:
 def _solid(corners: Array, count: int) -> trimesh.Trimesh:
     """One of so many solids; of several each is joined by itself: two may have a side in common."""
     place = merged(corners, 0.0) if count > 1 else np.arange(len(corners))
-    return trimesh.Trimesh(*without_unused(corners, place.reshape(-1, 3), []), process=False)
+    return trimesh.Trimesh(*without_unused(corners, place.reshape(-1, 3)), process=False)
 
 
 def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
@@ -610,7 +622,7 @@ def _joined(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints
     if moved is faces:
         return vertices, faces
     steps.append(merging(len(vertices), "vertices", len(np.unique(moved)), distance))
-    return without_unused(vertices, moved, [])
+    return without_unused(vertices, moved)
 
 
 def _scale(found: Elements, unit: str | None) -> tuple[float, str | None]:

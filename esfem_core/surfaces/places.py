@@ -8,7 +8,17 @@ from scipy.spatial import cKDTree
 from esfem_core.checks import Array, Bools, Ints
 from esfem_core.surfaces.orientation import components, normals_of, sides_of
 
-__all__ = ["NEAR", "PIECES", "diagonal_of", "gap_of", "joined", "merged", "merging", "repeated"]
+__all__ = [
+    "NEAR",
+    "PIECES",
+    "diagonal_of",
+    "gap_of",
+    "joined",
+    "merged",
+    "merging",
+    "repeated",
+    "without_unused",
+]
 
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 BESIDE = 0.1  # distance of the ends of two edges that were one, over their length
@@ -137,3 +147,16 @@ def repeated(cells: Ints) -> Bools:
     """Which rows have a number twice."""
     ordered = np.sort(cells, axis=1)
     return np.asarray((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))
+
+
+def without_unused(vertices: Array, cells: Ints) -> tuple[Array, Ints]:
+    """Vertices without those that no cell uses, and the cells with their new numbers.
+
+    Examples
+    --------
+    >>> vertices, cells = without_unused(np.eye(3), np.array([[2, 0, 2]]))
+    >>> len(vertices), cells.tolist()
+    (2, [[1, 0, 1]])
+    """
+    used, renumbered = np.unique(cells, return_inverse=True)
+    return vertices[used], renumbered.reshape(cells.shape)

@@ -32,16 +32,25 @@ from esfem_core.surfaces.orientation import (
     turned_to_agree,
     with_turned,
 )
-from esfem_core.surfaces.places import NEAR, PIECES, diagonal_of, gap_of, merged, merging, repeated
+from esfem_core.surfaces.places import (
+    NEAR,
+    PIECES,
+    diagonal_of,
+    gap_of,
+    merged,
+    merging,
+    repeated,
+    without_unused,
+)
 
 __all__ = [
     "Repaired",
     "check_coordinates",
     "counted",
+    "dropping",
     "remedy",
     "repair",
     "repaired",
-    "without_unused",
 ]
 
 HOLE = 12  # edges of the largest hole that is filled without being asked for
@@ -201,7 +210,9 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
             f"dropped {counted((~fit).sum(), 'triangle')} with missing or infinite corners"
         )
     if len(faces) > 0:
-        vertices, faces = without_unused(vertices, faces, steps)
+        before = len(vertices)
+        vertices, faces = without_unused(vertices, faces)
+        steps += dropping(before - len(vertices))
         vertices, faces = _merge(vertices, faces, steps)
     if len(faces) > 0:
         faces = _flip_flat(vertices, faces, steps)
@@ -212,7 +223,7 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
         faces = _fill(vertices, faces, holes, steps)
         faces = _flip_flat(vertices, faces, steps)
         vertices, faces = _split(vertices, faces, steps)
-        vertices, faces = without_unused(vertices, _turn(vertices, faces, steps), [])
+        vertices, faces = without_unused(vertices, _turn(vertices, faces, steps))
     return Repaired(vertices, faces, steps)
 
 
@@ -233,6 +244,12 @@ def remedy(vertices: Array, faces: Ints, found: Fault, boundary: bool = False) -
     same = left.text.split(":")[0] == found.text.split(":")[0]
     rest = "" if same else f"ec.repair is not enough: then {left.text}; "
     return rest + _next(vertices, faces, left, HOLE)
+
+
+def dropping(unused: int) -> list[str]:
+    """What to say of so many vertices that were left out: nothing of none."""
+    lost = counted(unused, "vertex", "vertices")
+    return [f"dropped {lost} without triangles"] if unused else []
 
 
 def counted(n: int, one: str, many: str | None = None) -> str:
@@ -281,15 +298,6 @@ def _joining(vertices: Array, faces: Ints, gap: float) -> str:
     return f"{text}write it with shared vertices, or merge them with a program such as MeshLab"
 
 
-def without_unused(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
-    """Drop vertices that no cell uses; what was dropped is added to `steps`."""
-    used, renumbered = np.unique(faces, return_inverse=True)
-    if len(used) < len(vertices):
-        lost = len(vertices) - len(used)
-        steps.append(f"dropped {counted(lost, 'vertex', 'vertices')} without triangles")
-    return vertices[used], renumbered.reshape(faces.shape)
-
-
 def _without_copies(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
     """Triangles without those that lie where another one does, corner on corner, alike oriented.
 
@@ -333,7 +341,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
             if count < len(x):
                 said.append(merging(len(x), "vertices", count, near * diagonal))
         f = _drop_doubles(f, said)
-        x, f = without_unused(x, f, [])
+        x, f = without_unused(x, f)
         broken = int((sides_of(f).times == 1).sum() + flat_triangles(x, f).sum())
         if best is None or broken < best[0]:
             best = broken, x, f, said
@@ -471,7 +479,7 @@ def _split(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
     parted = own.reshape(faces.shape)
     if _is_closed(parted) and (flat := _without_volume(shells(vertices[at], parted), steps)).any():
         # They go before anything moves: a body that only they touch stays where it is.
-        return _split(*without_unused(vertices, faces[~flat], []), steps)
+        return _split(*without_unused(vertices, faces[~flat]), steps)
     order = np.argsort(at, kind="stable")
     again = np.zeros(len(first), dtype=bool)
     again[order[1:]] = at[order[1:]] == at[order[:-1]]  # all fans of a vertex but one
