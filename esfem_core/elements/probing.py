@@ -21,7 +21,7 @@ FAR = 1e7  # sizes of the surface; farther away, rounding of distances hides clo
 
 
 @runtime_checkable
-class Elements(Protocol):
+class SpaceLike(Protocol):
     """What is used of a :class:`esfem_core.SurfaceSpace`."""
 
     degree: int
@@ -49,7 +49,7 @@ class ClosestPoints(NamedTuple):
     distance: Array
 
 
-def check_space(space: Elements) -> None:
+def check_space(space: SpaceLike) -> None:
     """Refuse what is no space.
 
     Examples
@@ -59,11 +59,11 @@ def check_space(space: Elements) -> None:
         ...
     TypeError: space must be a SurfaceSpace, got None
     """
-    if not isinstance(space, Elements):
+    if not isinstance(space, SpaceLike):
         raise TypeError(f"space must be a SurfaceSpace, got {shown(space)}")
 
 
-def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestPoints:
+def closest_points(space: SpaceLike, x: ArrayLike, points: ArrayLike) -> ClosestPoints:
     """Find the points of Γ_h[x] that are closest to given ones.
 
     On each element that could hold the closest point, ``|Phi(xi) - p|^2`` is minimised over the
@@ -140,7 +140,7 @@ def closest_points(space: Elements, x: ArrayLike, points: ArrayLike) -> ClosestP
     return ClosestPoints(piece[chosen] // per_cell, local[chosen], closest, distance)
 
 
-def probe(space: Elements, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Array:
+def probe(space: SpaceLike, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Array:
     """Values of a finite element function at the points of Γ_h[x] closest to given ones.
 
     A point that is as far from all of the surface, as the centre of a sphere, is compared with

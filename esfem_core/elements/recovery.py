@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, real_array
 from esfem_core.elements.space import SurfaceSpace
-from esfem_core.elements.surface import Surface, check_surface
+from esfem_core.elements.surface import Surface, check_is_surface
 from esfem_core.solvers import superlu
 from esfem_core.surfaces import components, normals_of, smooth
 
@@ -52,7 +52,7 @@ def nodal_average(at: Surface, values: ArrayLike) -> Array:
     >>> bool(np.allclose(nodal_average(at, at.u), space.nodes[:, 2], rtol=0, atol=1e-14))
     True
     """
-    check_surface(at)
+    check_is_surface(at)
     space = at.space
     values = real_array("values", values, (*at.density.shape, "..."))
     basis, weights = space.tables.values, space.rule.weights
@@ -104,7 +104,7 @@ def smoothed(at: Surface, values: ArrayLike) -> Array:
     >>> print("{:.1e} {:.1e}".format(*(np.sqrt(np.sum(e * (at.M @ e))) for e in errors)))
     2.4e-02 6.6e-03
     """
-    check_surface(at)
+    check_is_surface(at)
     return Smoothing(at)(at.load(values))
 
 
@@ -134,7 +134,7 @@ def smoothed_divergence(at: Surface, normal: ArrayLike) -> Array:
     >>> print(f"{H.min():.3f} {H.max():.3f}")
     2.000 2.000
     """
-    check_surface(at)
+    check_is_surface(at)
     gradient = at.space.gradient(at.x, real_array("normal", normal, at.x.shape))
     return smoothed(at, np.trace(gradient, axis1=-2, axis2=-1))
 
@@ -175,7 +175,7 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     >>> print(f"{textbook[five].mean():.3f} {normal_and_curvature(at)[1][five].mean():.3f}")
     2.682 2.002
     """
-    check_surface(at)
+    check_is_surface(at)
     if len(at.space.boundary_nodes):
         raise ValueError(
             "at must be a closed surface, but has a boundary: near it the curvature of smoothed "

@@ -381,12 +381,12 @@ def _weight(
     return real_array(name, values, points).T
 
 
-def check_surface(at: Surface) -> None:
+def check_is_surface(at: Surface) -> None:
     """Refuse what is no surface.
 
     Examples
     --------
-    >>> check_surface(None)
+    >>> check_is_surface(None)
     Traceback (most recent call last):
         ...
     TypeError: at must be a Surface, got None

@@ -53,7 +53,7 @@ from esfem_core.study.rows import (
     reason_of,
     set_aside,
 )
-from esfem_core.study.user_code import code_of, pieces
+from esfem_core.study.user_code import code_of, imports_of
 
 __all__ = [
     "Experiment",
@@ -265,13 +265,13 @@ class _Sent(NamedTuple):
         have ways of their own.
     code : str
         Its hash.
-    pieces : dict
-        What another process imports of it, see :func:`esfem_core.study.user_code.pieces`.
+    imports : dict
+        What another process imports of it, see :func:`esfem_core.study.user_code.imports_of`.
     """
 
     function: Any
     code: str
-    pieces: dict[str, str]
+    imports: dict[str, str]
 
 
 def _sent(compute: Callable[..., Any], executor: Executor | None) -> _Sent:
@@ -279,14 +279,14 @@ def _sent(compute: Callable[..., Any], executor: Executor | None) -> _Sent:
     if executor is None:
         return _Sent(compute, code, {})
     known = isinstance(executor, Processes | ProcessPoolExecutor)
-    return _Sent(pickled(compute) if known else compute, code, pieces(compute))
+    return _Sent(pickled(compute) if known else compute, code, imports_of(compute))
 
 
 def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
     """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
     try:
         compute = loads(sent.function) if isinstance(sent.function, bytes) else sent.function
-        _require_same_code(compute, sent.pieces)
+        _require_same_code(compute, sent.imports)
         return _computed(compute, parameters, sent.code)
     except KeyboardInterrupt:
         raise
@@ -302,7 +302,7 @@ def _require_same_code(compute: Callable[..., Any], wanted: Mapping[str, str]) -
     key = tuple(wanted.items())
     if key in _compared:
         return
-    here = pieces(compute) if wanted else {}
+    here = imports_of(compute) if wanted else {}
     for name, code in wanted.items():
         if here.get(name, code) != code:
             raise RuntimeError(

@@ -40,7 +40,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.study import dependencies, loaded
 from esfem_core.study.dependencies import PACKAGE, code_hash, is_of_package
 
-__all__ = ["code_of", "pieces"]
+__all__ = ["code_of", "imports_of"]
 
 BY_TEXT = (str, bytes, bytearray, bool, int, float, complex, type(None), type(...), range)
 """Values that their `repr` tells all of."""
@@ -100,7 +100,7 @@ def code_of(function: Callable[..., Any]) -> str:
     return _digest(function, {})[:12]
 
 
-def pieces(function: Callable[..., Any]) -> dict[str, str]:
+def imports_of(function: Callable[..., Any]) -> dict[str, str]:
     """What each process imports for itself of a user's function: functions of modules, by name.
 
     Returns

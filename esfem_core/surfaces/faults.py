@@ -29,8 +29,8 @@ __all__ = [
     "check_is_trimesh",
     "fans",
     "fault",
-    "flat_triangles",
     "of_elements",
+    "without_area",
 ]
 
 # Smallest allowed 4 sqrt(3) area / (sum of squared sides), 1 if equilateral: the one limit of the
@@ -150,7 +150,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     )
 
 
-def flat_triangles(vertices: Array, faces: Ints) -> Bools:
+def without_area(vertices: Array, faces: Ints) -> Bools:
     """Which triangles have no area to speak of, (T,): the limit for elements of a run, too."""
     area, squares = _areas(vertices, faces)
     lost = (ROUNDING * np.abs(vertices[faces]).max(initial=0.0)) ** 2  # twice an area
@@ -261,7 +261,7 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
         return Fault(
             f"triangle {t} is degenerate: its corners {faces[t].tolist()} repeat", "remove it"
         )
-    flat = flat_triangles(vertices, faces)
+    flat = without_area(vertices, faces)
     if not flat.any():
         return None
     t = int(np.argmax(flat))

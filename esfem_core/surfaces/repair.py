@@ -19,8 +19,8 @@ from esfem_core.surfaces.faults import (
     check_is_trimesh,
     fans,
     fault,
-    flat_triangles,
     of_elements,
+    without_area,
 )
 from esfem_core.surfaces.folds import unfolded
 from esfem_core.surfaces.lids import lid_of, rims
@@ -334,7 +334,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
         if near is not None:
             place = merged(x, near * diagonal)
             gone = repeated(place[f]) & ~repeated(f)
-            if near and (gone & ~flat_triangles(x, f)).any():
+            if near and (gone & ~without_area(x, f)).any():
                 continue  # that is no rounding: proper triangles would vanish
             f = place[f]
             count = len(np.unique(f))
@@ -342,7 +342,7 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
                 said.append(merging(len(x), "vertices", count, near * diagonal))
         f = _drop_doubles(f, said)
         x, f = without_unused(x, f)
-        broken = int((sides_of(f).times == 1).sum() + flat_triangles(x, f).sum())
+        broken = int((sides_of(f).times == 1).sum() + without_area(x, f).sum())
         if best is None or broken < best[0]:
             best = broken, x, f, said
         if broken == 0:
@@ -406,7 +406,7 @@ def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
     faces = faces.copy()
     flips = 0
     for _ in range(FLIPS):
-        flat = np.flatnonzero(flat_triangles(vertices, faces))
+        flat = np.flatnonzero(without_area(vertices, faces))
         if len(flat) == 0:
             break
         sides = sides_of(faces)

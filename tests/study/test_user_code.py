@@ -33,7 +33,7 @@ from esfem_core.solvers import cholmod, superlu
 from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, user_code
 from esfem_core.study.dependencies import code_hash
-from esfem_core.study.user_code import code_of, pieces
+from esfem_core.study.user_code import code_of, imports_of
 from esfem_core.surfaces import Balls
 
 SOURCE = '''
@@ -727,22 +727,23 @@ def test_what_is_loaded_counts_and_not_what_the_file_says_by_now(
         ("N = 3", "# Lines\n\nN = 3", True),
     ],
 )
-def test_pieces_tell_whether_two_processes_have_loaded_the_same(
+def test_imports_tell_whether_two_processes_have_loaded_the_same(
     tmp_path, monkeypatch, old, new, same
 ):
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    before = pieces(module(tmp_path / "edited.py", EDITED, monkeypatch).compute)
-    after = pieces(module(tmp_path / "edited.py", EDITED.replace(old, new), monkeypatch).compute)
+    before = imports_of(module(tmp_path / "edited.py", EDITED, monkeypatch).compute)
+    edited = EDITED.replace(old, new)
+    after = imports_of(module(tmp_path / "edited.py", edited, monkeypatch).compute)
     assert before.keys() == after.keys() == {f"edited.compute ({sys.implementation.cache_tag})"}
     assert (before == after) is same
 
 
-def test_what_differs_from_machine_to_machine_is_no_piece(tmp_path, monkeypatch):
+def test_what_differs_from_machine_to_machine_is_no_import(tmp_path, monkeypatch):
     text = EDITED.replace("N = 3", "import os\nN = os.getpid()")
     made = module(tmp_path / "machine.py", text, monkeypatch)
-    before = pieces(made.compute)
+    before = imports_of(made.compute)
     monkeypatch.setattr(made, "N", 3)
-    assert pieces(made.compute) == before
+    assert imports_of(made.compute) == before
 
 
 @pytest.mark.parametrize("module", ["installed_here", "installed_too", "mine_here"])
