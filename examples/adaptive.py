@@ -6,15 +6,19 @@ import esfem_core as ec
 
 
 def adaptive(space, problem, p, step, end, tolerance):
-    """Steps halved or lengthened by how well extrapolation foresees the positions."""
+    """Steps halved or lengthened by how well extrapolation foresees positions and functions."""
     states = list(ec.evolve(space, problem, p, step, (p - 1) * step))
     while end - states[-1].t > 1e-9 * step:
         step = min(step, end - states[-1].t)
         # The last ones are enough, and cost the same in every step.
         start = ec.respaced(states[-4 * p :], step, order=p)
         *_, new = ec.evolve(space, problem, p, step, start[-1].t + step, start=start)
-        foreseen = sum(c * s.x for c, s in zip(ec.bdf.gamma(p), start[::-1], strict=True))
-        error = abs(new.x - foreseen).max()
+        now, *before = ({"x": s.x, **s.fields} for s in (new, *start[::-1]))
+        error = max(
+            abs(w - sum(c * s[name] for c, s in zip(ec.bdf.gamma(p), before, strict=True))).max()
+            / (abs(w).max() or 1.0)
+            for name, w in now.items()
+        )
         if error <= tolerance:
             states.append(new)
         step *= 1 / 2 if error > tolerance else 1 + 1 / p if error < tolerance / 4 else 1

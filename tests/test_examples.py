@@ -19,10 +19,10 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 NUMBERS = {
     "adaptive": [
         ("amount changes by ", 0, 1e-13),
-        ("^", 45, 2),  # steps
-        ("longest ", 0.211, 2e-2),
-        ("error with chosen steps: ", 0.0032, 5e-4),
-        ("error with equal steps: ", 0.176, 2e-2),
+        ("^", 56, 2),  # steps
+        ("longest ", 0.185, 2e-2),
+        ("error with chosen steps: ", 0.0012, 3e-4),
+        ("error with equal steps: ", 0.107, 1e-2),
     ],
     "convergence": [("order in time: ", 2.0, 0.1), ("order in space, H1: ", 2.0, 0.1)],
     "growth": [

@@ -13,7 +13,7 @@ from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.checkpoints import space_of
 from esfem_core.stepping.run import evolve
-from esfem_core.stepping.state import Method, State
+from esfem_core.stepping.state import Method, State, check_state, known_space
 from esfem_core.stepping.times import check_told_apart, later
 
 __all__ = ["respaced", "started_anew"]
@@ -133,7 +133,7 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     >>> print(f"{np.linalg.norm(last.x, axis=1).mean():.3f} {(9 / 4 - 1) ** 0.5:.3f}")
     1.118 1.118
     """
-    space = space_of([state])
+    check_state(space := known_space(state), state)
     law = object_of("problem", problem, Problem).law
     p, step = whole_number("order", order, 1, MOST_STEPS), number("step", step, above=0)
     made: Mapping[str, Array] = {}

@@ -140,3 +140,15 @@ def test_the_recipe_of_the_book_chooses_the_step(p, adaptive):
     for state in states:
         assert amount(state) == pytest.approx(exact, rel=1e-12)
         np.testing.assert_allclose(state.x, motion(SPACE.nodes, state.t), atol=0.02)
+
+
+@pytest.mark.parametrize("p", [2, 3])
+def test_the_recipe_sees_what_happens_on_a_surface_at_rest(p, adaptive):
+    """Logistic growth to 1, explicit in time, which long steps would destroy."""
+    problem = ec.Problem(0.1, lambda at: at.u * (1 - at.u), motion=lambda q, t: q)
+    states = adaptive(SPACE, problem, p, 0.05, 20.0, 1e-3)
+    steps = np.diff([state.t for state in states])
+    assert steps.max() > 4 * steps[0]
+    for state in states:
+        exact = 1 / (1 + 9 * np.exp(-state.t))
+        np.testing.assert_allclose(state.u, exact, rtol=0, atol=3e-3)
