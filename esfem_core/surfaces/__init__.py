@@ -8,7 +8,7 @@ from esfem_core.surfaces.balls import Balls
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
-from esfem_core.surfaces.faults import FLATTEST, Fault, fault
+from esfem_core.surfaces.faults import FLATTEST, Fault, check_coordinates, fault
 from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
@@ -22,7 +22,7 @@ from esfem_core.surfaces.orientation import (
 from esfem_core.surfaces.places import without_unused
 from esfem_core.surfaces.quality import Quality, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
-from esfem_core.surfaces.repair import check_coordinates, repair
+from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
 

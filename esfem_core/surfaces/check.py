@@ -4,10 +4,10 @@ import numpy as np
 import trimesh
 
 from esfem_core.checks import Array, Ints, flag
-from esfem_core.surfaces.faults import check_is_trimesh, fault
+from esfem_core.surfaces.faults import check_coordinates, check_is_trimesh, fault
 from esfem_core.surfaces.orientation import sides_of
 from esfem_core.surfaces.places import gap_of, joined, without_unused
-from esfem_core.surfaces.repair import check_coordinates, remedy
+from esfem_core.surfaces.repair import remedy
 
 __all__ = ["boundary_advice", "check_triangulation"]
 

@@ -5,14 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from esfem_core.checks import Array, Bools, Ints, shown
 from esfem_core.surfaces.folds import folded
 from esfem_core.surfaces.orientation import (
     Sides,
     coincident,
+    fans,
     normals_of,
     open_components,
     shells,
@@ -24,10 +23,9 @@ from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeat
 __all__ = [
     "FARTHEST",
     "FLATTEST",
-    "SMALLEST",
     "Fault",
+    "check_coordinates",
     "check_is_trimesh",
-    "fans",
     "fault",
     "of_elements",
     "without_area",
@@ -78,6 +76,35 @@ def check_is_trimesh(name: str, value: object) -> None:
     elif isinstance(value, tuple | list) and [getattr(part, "ndim", 0) for part in value] == [2, 2]:
         advice = f"; {name} = trimesh.Trimesh(*{name}, process=False) makes one of arrays"
     raise TypeError(f"{name} must be a trimesh.Trimesh, got {shown(value)}{advice}")
+
+
+def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
+    """Refuse vertices of triangles so far away, or so close, that areas and volumes are lost.
+
+    Those that are not finite are left to a repair.
+
+    Examples
+    --------
+    >>> check_coordinates("tri", 1e80 * np.eye(3), np.array([[0, 1, 2]]))
+    Traceback (most recent call last):
+        ...
+    ValueError: tri must have coordinates up to 1e+75, but point 0 is [1e+80, 0.0, 0.0]; give...
+    """
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)]] = True
+    far = np.flatnonzero(used & (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1))
+    if len(far):
+        raise ValueError(
+            f"{name} must have coordinates up to {FARTHEST:g}, but point {far[0]} is "
+            f"{vertices[far[0]].tolist()}; give lengths in a larger unit"
+        )
+    points = vertices[used & np.isfinite(vertices).all(axis=1)]
+    size = np.ptp(points, axis=0).max() if len(points) else 0.0
+    if 0 < size < SMALLEST:
+        raise ValueError(
+            f"{name} must be {SMALLEST:g} or more across, but is {size:.3g}; give lengths in a "
+            "smaller unit"
+        )
 
 
 class Fault(NamedTuple):
@@ -155,35 +182,6 @@ def without_area(vertices: Array, faces: Ints) -> Bools:
     area, squares = _areas(vertices, faces)
     lost = (ROUNDING * np.abs(vertices[faces]).max(initial=0.0)) ** 2  # twice an area
     return np.asarray(~(4 * np.sqrt(3) * area > FLATTEST * squares + 2 * np.sqrt(3) * lost))
-
-
-def fans(faces: Ints, pairs: Ints) -> Ints:
-    """To which fan each corner of the triangles belongs, (3T,).
-
-    Corners of neighbouring triangles at the same end of their common edge are linked; the
-    connected corners around a vertex are a fan.
-
-    Parameters
-    ----------
-    faces : (T, 3) int array
-    pairs : (E, 2) int array
-        Sides, as :class:`~esfem_core.surfaces.orientation.Sides` numbers them, of two neighbours.
-    """
-    n = faces.size
-    next_corner = np.roll(np.arange(n).reshape(-1, 3), -1, axis=1).ravel()
-    one, other = pairs.T
-    against = faces.ravel()[one] == faces.ravel()[other]
-    links = (
-        np.concatenate([one, next_corner[one]]),
-        np.concatenate(
-            [
-                np.where(against, other, next_corner[other]),
-                np.where(against, next_corner[other], other),
-            ]
-        ),
-    )
-    graph = coo_array((np.ones(2 * len(pairs)), links), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _areas(vertices: Array, faces: Ints) -> tuple[Array, Array]:

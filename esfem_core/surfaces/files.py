@@ -29,7 +29,7 @@ from esfem_core.checks import (
     string,
 )
 from esfem_core.surfaces.check import boundary_advice
-from esfem_core.surfaces.faults import fault
+from esfem_core.surfaces.faults import check_coordinates, fault
 from esfem_core.surfaces.orientation import components, sides_of
 from esfem_core.surfaces.places import (
     NEAR,
@@ -40,7 +40,7 @@ from esfem_core.surfaces.places import (
     repeated,
     without_unused,
 )
-from esfem_core.surfaces.repair import check_coordinates, counted, dropping, remedy
+from esfem_core.surfaces.repair import counted, dropping, remedy
 from esfem_core.surfaces.text_files import (
     check_ply,
     counted_from_the_first,

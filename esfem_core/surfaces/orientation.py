@@ -18,6 +18,7 @@ __all__ = [
     "Sides",
     "coincident",
     "components",
+    "fans",
     "normals_of",
     "open_components",
     "shells",
@@ -114,6 +115,35 @@ def open_components(faces: Ints, sides: Sides) -> Bools:
         return np.asarray(at_boundary)
     label = components(faces)
     return np.asarray(np.isin(label, label[at_boundary]))
+
+
+def fans(faces: Ints, pairs: Ints) -> Ints:
+    """To which fan each corner of the triangles belongs, (3T,).
+
+    Corners of neighbouring triangles at the same end of their common edge are linked; the
+    connected corners around a vertex are a fan.
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+    pairs : (E, 2) int array
+        Sides, as :class:`Sides` numbers them, of two neighbours.
+    """
+    n = faces.size
+    next_corner = np.roll(np.arange(n).reshape(-1, 3), -1, axis=1).ravel()
+    one, other = pairs.T
+    against = faces.ravel()[one] == faces.ravel()[other]
+    links = (
+        np.concatenate([one, next_corner[one]]),
+        np.concatenate(
+            [
+                np.where(against, other, next_corner[other]),
+                np.where(against, next_corner[other], other),
+            ]
+        ),
+    )
+    graph = coo_array((np.ones(2 * len(pairs)), links), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def turned_to_agree(faces: Ints) -> tuple[Bools, Bools]:

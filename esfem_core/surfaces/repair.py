@@ -13,11 +13,9 @@ import trimesh
 
 from esfem_core.checks import Array, Bools, Ints, flag, function, whole_number
 from esfem_core.surfaces.faults import (
-    FARTHEST,
-    SMALLEST,
     Fault,
+    check_coordinates,
     check_is_trimesh,
-    fans,
     fault,
     of_elements,
     without_area,
@@ -27,6 +25,7 @@ from esfem_core.surfaces.lids import lid_of, rims
 from esfem_core.surfaces.orientation import (
     Shells,
     components,
+    fans,
     shells,
     sides_of,
     turned_to_agree,
@@ -45,7 +44,6 @@ from esfem_core.surfaces.places import (
 
 __all__ = [
     "Repaired",
-    "check_coordinates",
     "counted",
     "dropping",
     "remedy",
@@ -158,35 +156,6 @@ def repair(
     if tri.units is not None:  # trimesh makes text of None
         made.units = tri.units
     return made
-
-
-def check_coordinates(name: str, vertices: Array, faces: Ints) -> None:
-    """Refuse vertices of triangles so far away, or so close, that areas and volumes are lost.
-
-    Those that are not finite are left to a repair.
-
-    Examples
-    --------
-    >>> check_coordinates("tri", 1e80 * np.eye(3), np.array([[0, 1, 2]]))
-    Traceback (most recent call last):
-        ...
-    ValueError: tri must have coordinates up to 1e+75, but point 0 is [1e+80, 0.0, 0.0]; give...
-    """
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)]] = True
-    far = np.flatnonzero(used & (np.isfinite(vertices) & (np.abs(vertices) > FARTHEST)).any(axis=1))
-    if len(far):
-        raise ValueError(
-            f"{name} must have coordinates up to {FARTHEST:g}, but point {far[0]} is "
-            f"{vertices[far[0]].tolist()}; give lengths in a larger unit"
-        )
-    points = vertices[used & np.isfinite(vertices).all(axis=1)]
-    size = np.ptp(points, axis=0).max() if len(points) else 0.0
-    if 0 < size < SMALLEST:
-        raise ValueError(
-            f"{name} must be {SMALLEST:g} or more across, but is {size:.3g}; give lengths in a "
-            "smaller unit"
-        )
 
 
 class Repaired(NamedTuple):

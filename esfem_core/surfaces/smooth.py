@@ -25,10 +25,9 @@ import trimesh
 
 from esfem_core.checks import Array, Ints, ReadOnly, finite_array, number, read_only
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
-from esfem_core.surfaces.faults import fans
 from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.graphs import Graphs, fit_graphs
-from esfem_core.surfaces.orientation import sides_of
+from esfem_core.surfaces.orientation import fans, sides_of
 
 __all__ = ["SmoothSurface", "smooth"]
 
