@@ -1,6 +1,6 @@
 """The book's long runs and what they have given.
 
-They are experiments of :mod:`esfem_core.study.campaign`, whose rows are data of the package.
+They are experiments of :mod:`esfem_core.study.scheduling`, whose rows are data of the package.
 :func:`stored` reads the rows that the book shows; :func:`renew` computes again those that other
 code has made.
 """

@@ -1,14 +1,6 @@
 """Convergence studies, and studies of many cases in many processes."""
 
 from esfem_core.study import dependencies, environment, user_code
-from esfem_core.study.campaign import (
-    Experiment,
-    Failure,
-    Outcome,
-    case,
-    is_current,
-    outcomes,
-)
 from esfem_core.study.cases import Results, grid, run
 from esfem_core.study.convergence import (
     ConvergenceTable,
@@ -20,6 +12,14 @@ from esfem_core.study.convergence import (
 from esfem_core.study.locks import StudyWarning
 from esfem_core.study.processes import Processes, WorkerLostError
 from esfem_core.study.rows import Row, UnsavedRowsError, read, select
+from esfem_core.study.scheduling import (
+    Experiment,
+    Failure,
+    Outcome,
+    case,
+    is_current,
+    outcomes,
+)
 
 __all__ = [
     "ConvergenceTable",

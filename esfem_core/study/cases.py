@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from esfem_core.checks import iterable, level_outside, shown
-from esfem_core.study.campaign import (
+from esfem_core.study.locks import StudyWarning
+from esfem_core.study.rows import Parameters, Row, case_key
+from esfem_core.study.scheduling import (
     Experiment,
     Failure,
     Outcome,
@@ -22,8 +24,6 @@ from esfem_core.study.campaign import (
     checked,
     outcomes,
 )
-from esfem_core.study.locks import StudyWarning
-from esfem_core.study.rows import Parameters, Row, case_key
 from esfem_core.tables import html_table, text_table
 
 __all__ = ["Results", "grid", "run"]

@@ -219,10 +219,10 @@ def outcomes(
         executor = own = Processes(workers, threads)
         limit = own.workers
     place.mkdir(parents=True, exist_ok=True)
-    campaign = _Campaign(executor or _Here(), own, 1 if executor is None else limit, threads)
+    schedule = _Schedule(executor or _Here(), own, 1 if executor is None else limit, threads)
     for experiment in studies:
-        campaign.add(experiment, place, stale, _sent(experiment.compute, executor))
-    return campaign.outcomes()
+        schedule.add(experiment, place, stale, _sent(experiment.compute, executor))
+    return schedule.outcomes()
 
 
 def checked(experiment: Experiment) -> Experiment:
@@ -389,7 +389,7 @@ class _Chain:
         return Outcome(self.experiment, parameters, None, error, False, cases)
 
 
-class _Campaign:
+class _Schedule:
     """Chains that wait, and chains that are being computed here or by another run."""
 
     def __init__(
@@ -398,7 +398,7 @@ class _Campaign:
         self.waiting: deque[_Chain] = deque()
         self._running: dict[Future[Any], _Chain] = {}
         self._executor, self._limit, self._threads = executor, limit, threads
-        self._own = own  # processes that end with the campaign
+        self._own = own  # processes that end with it
         self._stores: list[Store] = []
         self._unsaved: list[tuple[Store, Row]] = []
         self._reason: Exception = OSError()
