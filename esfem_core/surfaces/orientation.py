@@ -38,7 +38,7 @@ ALONG = np.linalg.qr([[0.3127, 1, 0], [0.5413, 0, 1], [0.7805, 0, 0]])[0][:, [1,
 
 
 class Sides(NamedTuple):
-    """The sides of the triangles, and which of them are one edge.
+    """The sides of the triangles (half-edges in the literature), and which of them are one edge.
 
     Side 3t + n of triangle t runs from its corner n to the next.
 

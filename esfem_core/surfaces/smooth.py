@@ -233,9 +233,9 @@ class SmoothSurface(ReadOnly):
             if not tilted.any():
                 return
             self._trust[np.unique(self._fan[tilted])] /= 2
-            halves = 3 * np.flatnonzero(tilted)[:, None] + np.arange(3)
-            across = self._across[halves]
-            self._room[np.unique([*halves.ravel(), *across[across >= 0]])] /= 2
+            sides = 3 * np.flatnonzero(tilted)[:, None] + np.arange(3)
+            across = self._across[sides]
+            self._room[np.unique([*sides.ravel(), *across[across >= 0]])] /= 2
 
     def _step(self, graph: Ints, b: Array, points: Array) -> Array:
         """sum_i b_i h_i n_i at points (n, 3), for graphs and weights (n, 2 or 3)."""
@@ -254,23 +254,23 @@ class SmoothSurface(ReadOnly):
         rest = np.zeros_like(near)
         for i, j in ((0, 1), (1, 2), (2, 0)):
             share = b[:, i] + b[:, j]
-            half = 3 * triangle + i
-            rows = np.flatnonzero((self._across[half] >= 0) & (share > 0))
+            side = 3 * triangle + i
+            rows = np.flatnonzero((self._across[side] >= 0) & (share > 0))
             ends = b[rows][:, [i, j]] / share[rows, None]
             square = share[rows, None] ** 2
-            chord, curve = self._curve(half[rows], ends)
+            chord, curve = self._curve(side[rows], ends)
             near[rows] += square * (curve - chord)
             rest[rows] -= square * self._step(self._fan[triangle[rows]][:, [i, j]], ends, curve)
         return near, rest
 
-    def _curve(self, half: Ints, b: Array) -> tuple[Array, Array]:
+    def _curve(self, side: Ints, b: Array) -> tuple[Array, Array]:
         """Points of creases' chords with shares b, (m, 2), of their ends, and of the curves.
 
         Both are (m, 3). The point of the curve is the closest one on both sides' graphs, found by
         Newton's method with the mean normals of the ends on each side.
         """
-        start, end = _corners(half)
-        last, first = _corners(self._across[half])  # the other side runs against this one
+        start, end = _corners(side)
+        last, first = _corners(self._across[side])  # the other side runs against this one
         ends = self.vertices[np.stack([self.faces.flat[start], self.faces.flat[end]], axis=1)]
         chord = np.einsum("me,mei->mi", b, ends)
         graphs = [self._fan.flat[np.stack(c, axis=1)] for c in ((start, end), (first, last))]
@@ -287,7 +287,7 @@ class SmoothSurface(ReadOnly):
                 square = np.maximum((direction * direction).sum(axis=1), PARALLEL)
                 off += (height / square)[:, None] * direction
         far = np.linalg.norm(off, axis=1)
-        allowed = 4 * b.prod(axis=1) * self._room[half]  # the whole room in the middle
+        allowed = 4 * b.prod(axis=1) * self._room[side]  # the whole room in the middle
         return chord, chord + np.minimum(1, allowed / np.maximum(far, 1e-300))[:, None] * off
 
 
@@ -348,9 +348,9 @@ class _Flat:
         return np.asarray(cosines.min(axis=1))
 
 
-def _corners(half: Ints) -> tuple[Ints, Ints]:
+def _corners(side: Ints) -> tuple[Ints, Ints]:
     """The corners, numbered as sides are, at which sides start and end."""
-    return half, half - half % 3 + (half + 1) % 3
+    return side, side - side % 3 + (side + 1) % 3
 
 
 def _unit(vectors: Array) -> Array:
