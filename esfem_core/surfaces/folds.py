@@ -19,7 +19,7 @@ import numpy as np
 
 from esfem_core.checks import Array, Ints
 from esfem_core.surfaces.lids import lid_of, rims
-from esfem_core.surfaces.orientation import Sides, normals_of, sides_of
+from esfem_core.surfaces.orientation import Sides, directed, normals_of, sides_of
 
 __all__ = ["folded", "unfolded"]
 
@@ -109,12 +109,11 @@ def _cut_anew(vertices: Array, faces: Ints, group: Ints) -> Ints:
     """Other triangles for those of a group, or the same where it is no polygon."""
     old = faces[group]
     sides = sides_of(old)
-    loops = list(rims(sides.end, sides.start, sides.times == 1))
+    loops = list(rims(sides, reverse=True))
     if len(loops) != 1 or len(loops[0]) != len(np.unique(old)):
         return old
     near = np.flatnonzero(np.isin(faces, loops[0]).any(axis=1))
-    rest = sides_of(faces[np.setdiff1d(near, group)])
-    taken = set(zip(rest.start.tolist(), rest.end.tolist(), strict=True))
+    taken = directed(sides_of(faces[np.setdiff1d(near, group)]))
     return np.array(lid_of(vertices, loops[0], taken) or old, dtype=np.int64).reshape(-1, 3)
 
 

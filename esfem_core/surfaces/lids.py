@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from esfem_core.checks import Array, Bools, Ints
+from esfem_core.checks import Array
+from esfem_core.surfaces.orientation import Sides
 
 __all__ = ["lid_of", "rims"]
 
 
-def rims(start: Ints, end: Ints, is_open: Bools) -> Iterator[list[int]]:
+def rims(sides: Sides, reverse: bool = False) -> Iterator[list[int]]:
     """Closed loops of open sides, each as its vertices in the direction that a lid needs.
 
     A walk from side to side; where it comes back to a vertex it has passed, the loop since then
@@ -17,18 +18,23 @@ def rims(start: Ints, end: Ints, is_open: Bools) -> Iterator[list[int]]:
 
     Parameters
     ----------
-    start, end : (n,) int arrays
-        Vertices of the sides.
-    is_open : (n,) bool array
+    sides : Sides
+    reverse : bool
+        The other direction: that in which the sides themselves run.
 
     Examples
     --------
-    >>> start, end = np.array([0, 1, 2]), np.array([1, 2, 0])
-    >>> list(rims(start, end, np.ones(3, dtype=bool)))
-    [[1, 0, 2]]
+    >>> from esfem_core.surfaces import sides_of
+    >>> sides = sides_of(np.array([[0, 1, 2]]))
+    >>> list(rims(sides)), list(rims(sides, reverse=True))
+    ([[1, 0, 2]], [[0, 1, 2]])
     """
+    is_open = sides.times == 1
+    start, end = sides.start[is_open], sides.end[is_open]
+    if reverse:
+        start, end = end, start
     after: dict[int, list[int]] = {}
-    for i, j in zip(start[is_open].tolist(), end[is_open].tolist(), strict=True):
+    for i, j in zip(start.tolist(), end.tolist(), strict=True):
         after.setdefault(j, []).append(i)
     for begin in list(after):
         walk, place = [begin], {begin: 0}

@@ -18,6 +18,7 @@ __all__ = [
     "Sides",
     "coincident",
     "components",
+    "directed",
     "fans",
     "normals_of",
     "open_components",
@@ -82,6 +83,17 @@ def sides_of(faces: Ints) -> Sides:
     keys = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
     _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
     return Sides(start, end, edge.ravel(), count[edge.ravel()])
+
+
+def directed(sides: Sides) -> set[tuple[int, int]]:
+    """The sides as pairs of vertices, (start, end).
+
+    Examples
+    --------
+    >>> sorted(directed(sides_of(np.array([[0, 1, 2]]))))
+    [(0, 1), (1, 2), (2, 0)]
+    """
+    return set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
 
 
 def components(faces: Ints) -> Ints:

@@ -25,6 +25,7 @@ from esfem_core.surfaces.lids import lid_of, rims
 from esfem_core.surfaces.orientation import (
     Shells,
     components,
+    directed,
     fans,
     shells,
     sides_of,
@@ -233,7 +234,7 @@ def _next(vertices: Array, faces: Ints, left: Fault, holes: int) -> str:
         whole = len(bare.faces) == len(faces) and np.isfinite(vertices).all()
         return _joining(*((vertices, faces) if whole else bare[:2]), gap)
     sides = sides_of(bare.faces)
-    lengths = [len(rim) for rim in rims(sides.start, sides.end, sides.times == 1)]
+    lengths = [len(rim) for rim in rims(sides)]
     largest = max(lengths, default=0)
     if not holes < largest <= LID:
         return left.advice
@@ -382,7 +383,7 @@ def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
         partner = np.full(faces.size, -1)
         pairs = sides.pairs()
         partner[pairs] = pairs[:, ::-1]
-        edges = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
+        edges = directed(sides)
         touched: set[int] = set()
         for t in flat.tolist():
             corners = vertices[faces[t]]
@@ -420,9 +421,9 @@ def _fill(vertices: Array, faces: Ints, holes: int, steps: list[str]) -> Ints:
     sides = sides_of(faces)
     if not (sides.times == 1).any() or holes < 3 or gap_of(vertices, faces) > 0:
         return faces  # lids on both sides of a crack would make bodies of the pieces
-    taken = set(zip(sides.start.tolist(), sides.end.tolist(), strict=True))
+    taken = directed(sides)
     sizes, lids = [], []
-    for rim in rims(sides.start, sides.end, sides.times == 1):
+    for rim in rims(sides):
         if len(rim) <= holes and (lid := lid_of(vertices, rim, taken)):
             sizes.append(len(rim))
             lids += lid
