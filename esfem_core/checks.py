@@ -39,6 +39,7 @@ __all__ = [
     "iterable",
     "level_outside",
     "mapping",
+    "named",
     "number",
     "object_of",
     "one_of",
@@ -293,6 +294,22 @@ def mapping(name: str, value: object, to: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise TypeError(f"{name} must be a mapping from names to {to}, got {shown(value)}")
     return value
+
+
+def named(name: str, row: Any) -> dict[str, Any]:
+    """What a NamedTuple or a mapping says by name, such as a row of a table.
+
+    Examples
+    --------
+    >>> from typing import NamedTuple
+    >>> class Area(NamedTuple):
+    ...     area: float
+    >>> named("row", Area(2.0)), named("row", {"area": 2.0})
+    ({'area': 2.0}, {'area': 2.0})
+    """
+    if hasattr(row, "_asdict") and not isinstance(row, type):
+        row = row._asdict()
+    return dict(mapping(name, row, "numbers"))
 
 
 def items(name: str, values: object, kind: type[Kind], least: int = 1) -> list[Kind]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import iterable, mapping, output_path, shown
+from esfem_core.checks import iterable, named, output_path, shown
 from esfem_core.stepping import write_whole
 
 __all__ = ["TableWriter", "save_table"]
@@ -67,9 +67,8 @@ class TableWriter:
         self._write("row", row)
 
     def _write(self, called: str, row: Any) -> None:
-        named = row._asdict() if hasattr(row, "_asdict") else row
         cells: dict[str, Any] = {}
-        for name, entry in _cells(called, mapping(called, named, "numbers")):
+        for name, entry in _cells(called, named(called, row)):
             if name in cells:
                 raise ValueError(f"{called} must have different columns, got two called {name!r}")
             _check_for_utf8(called, name, name)

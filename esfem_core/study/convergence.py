@@ -18,6 +18,7 @@ from esfem_core.checks import (
     items,
     iterable,
     mapping,
+    named,
     number,
     object_of,
     real_array,
@@ -182,19 +183,19 @@ class ConvergenceTable(ReadOnly):
               0.2   4.00e-03
               0.1   1.00e-03       2.00
         """
-        named = [
-            _named(f"rows[{i}]", row)
+        found = [
+            named(f"rows[{i}]", row)
             for i, row in enumerate(iterable("rows", rows, "Errors or mappings"))
         ]
-        if not named:
+        if not found:
             raise ValueError("rows must hold at least one row, got none")
-        names = list(named[0])
-        if any(list(row) != names for row in named):
+        names = list(found[0])
+        if any(list(row) != names for row in found):
             raise ValueError(f"rows must all have the names {names}, got others")
         return cls(
             parameter,
             finite_array("sizes", sizes, ("n",)),
-            {name: np.array([row[name] for row in named]) for name in names},
+            {name: np.array([row[name] for row in found]) for name in names},
         )
 
     @classmethod
@@ -274,12 +275,6 @@ class ConvergenceTable(ReadOnly):
     def _repr_html_(self) -> str:
         header, rows = self._cells()
         return html_table(header, rows, "esfem-convergence").text
-
-
-def _named(name: str, row: Any) -> dict[str, Any]:
-    """What a row, or a reader's measure, says by name."""
-    values = row._asdict() if hasattr(row, "_asdict") else row
-    return dict(mapping(name, values, "numbers"))
 
 
 def _cell(value: float, spec: str) -> str:
@@ -376,7 +371,7 @@ def time_study(
         "tau",
         taus,
         [
-            _named("what measure returns", measure(space, problem, last))
+            named("what measure returns", measure(space, problem, last))
             if reference is None
             else difference(space, last, reference)._asdict()
             for last in map(final, runs)
@@ -453,7 +448,7 @@ def space_study(
         "h",
         sizes,
         [
-            _named("what measure returns", measure(space, problem, final(run)))
+            named("what measure returns", measure(space, problem, final(run)))
             for space, run in zip(spaces, runs, strict=True)
         ],
     )

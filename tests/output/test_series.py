@@ -330,6 +330,7 @@ def test_a_table_is_complete_after_each_row_and_refuses_other_columns(tmp_path):
     for row, error, message in [
         ({"s": 1.0}, ValueError, "rows must all have the columns t; got s"),
         ([1.0], TypeError, "row must be a mapping from names to numbers, got"),
+        (Row, TypeError, "row must be a mapping from names to numbers, got the class Row"),
         ({}, ValueError, "row must have at least one column, got {}"),
     ]:
         with pytest.raises(error, match=message):
