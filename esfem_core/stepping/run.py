@@ -55,7 +55,7 @@ from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import Mass, State, check_state
 from esfem_core.stepping.systems import Statistics, Systems
 from esfem_core.stepping.times import TOLERANCE, count_steps, following
-from esfem_core.stepping.units import check_units, factor_to_size_one
+from esfem_core.stepping.units import check_rates, check_units, factor_to_size_one
 
 __all__ = ["MASSES", "evolve"]
 
@@ -221,7 +221,9 @@ def evolve(
         degree 2 or more, or with p = 4 or more, which is unstable; for a slip of which more than
         a fifth is normal; and for alpha of :class:`esfem_core.laws.Regularised`, or a constant
         diffusivity times the step, of more than 1e8 area/(4 pi), where rounding takes amounts and
-        the motion of the surface as a whole: see to the units.
+        the motion of the surface as a whole: see to the units; and for a rate that is so much
+        larger at some places than at others, as a penalty is, that a "lagged" or "cholmod" solver
+        may lose more than 1e-6 of the values at these in each step.
     UserWarning
         At the call, for p = 6.
 
@@ -273,6 +275,7 @@ def evolve(
     check_precision(problem.law, first)
     check_slip(space, problem.law, first, order, step)
     check_units(space, problem, first, step)
+    check_rates(problem, first, order, step, solver)
     guard = Guard(space, first.x, first.fields, growth)
     states = _run(scheme, order, step, n_steps, end, given, guard)
     if file is None:

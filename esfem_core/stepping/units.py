@@ -1,29 +1,37 @@
-"""Whether alpha and diffusivities are numbers for the size of the surface.
+"""Whether alpha, diffusivities and rates are numbers that leave digits of the solution.
 
 And what makes right-hand sides, which are integrals, as large as on a surface of size 1.
 """
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from esfem_core.checks import Array, level_outside
-from esfem_core.elements import SurfaceSpace
-from esfem_core.laws import Dynamic, Regularised
+from esfem_core.elements import Surface, SurfaceSpace
+from esfem_core.laws import Dynamic, Regularised, Species
 from esfem_core.problems import Problem
 from esfem_core.stepping.agreement import innermost
+from esfem_core.stepping.bdf import delta
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
 
-__all__ = ["check_units", "factor_to_size_one"]
+__all__ = ["check_rates", "check_units", "factor_to_size_one"]
 
 # A takes constants to zero but for rounding, so in M + s A amounts, and the translation of all
 # nodes, stand against 1e-16 s. For s = LARGEST r^2, with the squared radius r^2 of a sphere as
 # large, a step loses 2e-7 of them with 162 nodes of degree 1 and 2e-5 with 5762 of degree 3, and
 # proportionally more for larger s, with every solver.
 LARGEST = 1e8
+
+# Conjugate gradients leave a residual of 1e-11 of the whole right-hand side, or of the rounding
+# errors in K w (solvers/conjugate_gradients.py), wherever K is smallest.
+RESIDUAL = 1e-11
+ROUNDING = 4 * np.finfo(float).eps
+LOST = 1e-6  # of the largest value: from here on worth a warning
 
 
 def factor_to_size_one(space: SurfaceSpace) -> float:
@@ -65,6 +73,67 @@ def check_units(space: SurfaceSpace, problem: Problem, first: State, step: float
                 EvolutionWarning,
                 stacklevel=level_outside(),
             )
+
+
+def check_rates(
+    problem: Problem, first: State, order: int, step: float, solver: str | Callable[[], object]
+) -> None:
+    """Look for rates that make a system so much larger at some places that others lose digits.
+
+    As a penalty does, rate and source R at some places only. Where rate and source are of one size
+    everywhere nothing is lost, however large they are.
+
+    Parameters
+    ----------
+    problem : Problem
+    first : State
+        What rates and sources are looked at on; those that cannot be computed are left to the step.
+    order : int
+    step : float
+    solver : str or callable
+        Of "direct" and of one's own nothing is asked.
+
+    Warns
+    -----
+    EvolutionWarning
+        If a step may lose more than 1e-6 of the values where the rate is small.
+    """
+    if solver not in ("lagged", "cholmod"):
+        return
+    at, weight = first.surface(), delta(order)[0] / step
+    for name, species in problem.all_species.items():
+        if not callable(species.rate):
+            continue
+        lost = 0.0
+        with suppress(Exception), np.errstate(all="ignore"):
+            lost = _lost(species, at, name, weight)
+        if LOST < lost < np.inf:
+            warnings.warn(
+                f"the rate of {name!r} is so much larger at some places than at others that, where "
+                f"it is small, each step may lose up to {lost:.1g} of {name!r}: solver={solver!r} "
+                "leaves a residual of 1e-11 of the whole right-hand side. Take a smaller rate or "
+                'solver="direct"; values that are given at nodes need no rate, but '
+                "Species(fixed=(nodes, values))",
+                EvolutionWarning,
+                stacklevel=level_outside(),
+            )
+
+
+def _lost(species: Species, at: Surface, name: str, weight: float) -> float:
+    """A bound of what residuals leave in a species in a step, over its largest value.
+
+    K = weight M + A + (mass matrix of the rate), and the right-hand side, have weight + rate and
+    weight u + source as densities: their quotient is about the new u.
+    """
+    u = np.abs(at[name])
+    [part, *_] = species.parts(at, u.shape[2:])
+    given = None if species.source is None else species.source(at)
+    source = given[0] if isinstance(given, tuple) else given  # a flux is not looked at
+    K = (weight + part.rate).reshape(*u.shape[:2], *(1,) * (u.ndim - 2))
+    b = weight * u + np.abs(0.0 if source is None else source)
+    values = (b / K).max(axis=(0, 1))
+    shares = (b.max(axis=(0, 1)) / K.min())[values > 0] / values[values > 0]
+    return float(RESIDUAL * shares.max(initial=0.0) + ROUNDING * K.max() / K.min())
 
 
 def _large(problem: Problem, step: float) -> Iterator[tuple[str, float, str]]:

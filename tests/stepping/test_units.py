@@ -95,3 +95,92 @@ def test_a_smaller_surface_runs_with_the_same_bits(solver):
     small, large = run(2.0**-20), run(1.0)
     np.testing.assert_array_equal(small.u, large.u)
     np.testing.assert_array_equal(2.0**20 * small.x, large.x)
+
+
+CAP = ec.SurfaceSpace(ec.sphere("icosahedron", 3), 1, ec.to_unit_sphere)
+
+
+def penalty(size):
+    """A rate, or source, on a cap."""
+    return lambda at: np.where(at.points[..., 0] > 0.8, size, 0.0)
+
+
+def at_the_end(species, solver, steps=20):
+    """Values, and warnings of this file's calls."""
+    problem = ec.Problem(species={"u": species}, law=REST)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        *_, last = ec.evolve(CAP, problem, 1, 0.05, 0.05 * steps, solver=solver)
+    assert all(one.filename == __file__ for one in found)
+    return last.u, [str(one.message) for one in found]
+
+
+@pytest.mark.parametrize(("size", "loses", "warns"), [(1e5, 1e-9, 0), (1e8, 1e-4, 1)])
+def test_a_penalty_is_warned_of_where_it_takes_digits_at_other_places(size, loses, warns):
+    species = ec.Species(lambda x: 1 + x[:, 0] / 2, rate=penalty(size), source=penalty(size))
+    u, said = at_the_end(species, "lagged")
+    exact, nothing = at_the_end(species, "direct")
+    assert len(said) == warns
+    assert nothing == []
+    off = np.abs(u - exact).max()
+    assert warns * 1e-6 < off < loses
+    if warns:
+        assert said[0].startswith("the rate of 'u' is so much larger at some places than at others")
+        assert "each step may lose up to 4e-05 of 'u': solver='lagged' leaves" in said[0]
+
+
+def test_the_advice_against_a_penalty_is_right():
+    """The direct solver does what dense matrices do, and given values are kept without a rate."""
+    species = ec.Species(1.0, rate=penalty(1e12), source=lambda at: penalty(1e12)(at) * 2)
+    u, _ = at_the_end(species, "direct", 1)
+    at = ec.Surface(CAP, CAP.nodes)
+    K = (20 * at.M + at.A + at.matrix(mass=penalty(1e12)(at))).toarray()
+    b = 20 * at.M @ np.ones(len(u)) + at.load(2 * penalty(1e12)(at))
+    np.testing.assert_allclose(u, np.linalg.solve(K, b), rtol=1e-10)
+    cap = np.flatnonzero(CAP.nodes[:, 0] > 0.8)
+    v, nothing = at_the_end(ec.Species(1.0, fixed=(cap, 2.0)), "lagged", 1)
+    assert nothing == []
+    assert (v[cap] == 2).all()
+
+
+def everywhere(size):
+    return lambda at: np.full(at.density.shape, size)
+
+
+@pytest.mark.parametrize(
+    "species",
+    [
+        {"rate": 1e12, "source": everywhere(1e12)},
+        {"rate": everywhere(1e12), "source": everywhere(1e12)},
+        {"rate": everywhere(1e12)},
+        {"rate": 1e12, "source": penalty(1e12)},
+        {"rate": penalty(1e8)},  # to zero: nothing is large on the right
+        {"rate": penalty(1e8), "source": everywhere(1e8)},  # so is u where there is no rate
+        {"rate": penalty(1e8), "source": lambda at: (None, 0 * at.grad_u), "diffusivity": [2.0]},
+    ],
+    ids=["number", "everywhere", "decay", "source", "sink", "growing", "flux"],
+)
+def test_rates_that_cost_no_digits_are_not_warned_of(species):
+    ones = np.ones((len(CAP.nodes), 1)) if "diffusivity" in species else 1.0
+    u, said = at_the_end(ec.Species(ones, **species), "lagged", 2)
+    exact, _ = at_the_end(ec.Species(ones, **species), "direct", 2)
+    assert [text for text in said if "rate" in text] == []
+    assert np.abs(u - exact).max() < 1e-10 * np.abs(exact).max()
+
+
+def test_a_rate_of_several_components_is_warned_of_and_a_faulty_one_left_to_the_step():
+    def source(at):
+        return np.stack([0 * at.density, penalty(1e9)(at)], axis=-1)
+
+    species = ec.Species(np.ones((len(CAP.nodes), 2)), rate=penalty(1e9), source=source)
+    [text] = at_the_end(species, "lagged", 1)[1]
+    assert "may lose up to 0.0005 of 'u'" in text
+    run = ec.evolve(
+        CAP,
+        ec.Problem(species={"u": ec.Species(1.0, rate=lambda at: -at.u)}, law=REST),
+        1,
+        0.1,
+        0.1,
+    )
+    with pytest.raises(ec.EvolutionError, match="rate must not be negative"):
+        list(run)
