@@ -62,6 +62,8 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 """An array of truth values."""
 
+OF_CONDITION = "; np.where(condition, 1.0, 0.0) makes numbers of a condition"
+
 Kind = TypeVar("Kind")
 
 EXACT = 2.0**53  # floats from here on do not tell integers apart
@@ -567,7 +569,10 @@ def real_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> Arra
         if None not in found:
             array = np.array([_as_float(v) for v in found]).reshape(array.shape)
     if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, got {array.dtype} ({shown(values)})")
+        raise TypeError(
+            f"{name} must hold real numbers, got {array.dtype} ({shown(values)})"
+            f"{OF_CONDITION * (array.dtype == bool)}"
+        )
     if not _fits(array.shape, shape):
         raise ValueError(f"{name} must have shape {_text(shape)}, got {array.shape}")
     return np.asarray(array, dtype=float)
@@ -586,7 +591,10 @@ def check_array(name: str, values: object, shape: Sequence[int | str]) -> None:
     if not isinstance(values, np.ndarray):
         raise TypeError(f"{name} must be an array of shape {_text(shape)}, got {shown(values)}")
     if values.dtype.kind not in "fiu":  # fractions are, once they are converted
-        raise TypeError(f"{name} must hold real numbers, got {values.dtype} ({shown(values)})")
+        raise TypeError(
+            f"{name} must hold real numbers, got {values.dtype} ({shown(values)})"
+            f"{OF_CONDITION * (values.dtype == bool)}"
+        )
     real_array(name, values, shape)
 
 

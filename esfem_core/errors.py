@@ -22,7 +22,14 @@ from esfem_core.checks import (
 from esfem_core.elements import SurfaceSpace, squared_differences
 from esfem_core.laws import check_no_slip
 from esfem_core.problems import Problem
-from esfem_core.stepping import State, check_exact_surface, check_state, exact_state, same_time
+from esfem_core.stepping import (
+    State,
+    check_exact_surface,
+    check_state,
+    exact_state,
+    same_space,
+    same_time,
+)
 
 __all__ = [
     "Errors",
@@ -333,7 +340,19 @@ def _check_surface(space: SurfaceSpace, problem: Problem) -> None:
         known.add(space)
 
 
+def _check_same_mesh(space: SurfaceSpace, state: State, name: str) -> None:
+    """Refuse a state of another mesh, whose nodal values are at other points."""
+    other = state.space if isinstance(state, State) else None
+    if other is not None and not same_space(other, space):
+        raise ValueError(
+            f"{name} must be a state of this space, {space!r}, but it is one of {other!r}; "
+            "values of runs on two meshes are compared at points: "
+            "state.space.probe(state.x, state.u, points) of each"
+        )
+
+
 def _difference(space: SurfaceSpace, state: State, reference: State, name: str) -> Errors:
+    _check_same_mesh(space, reference, name)
     check_state(space, reference, name)
     if not same_time(state.t, reference.t):
         raise ValueError(

@@ -278,3 +278,13 @@ def test_entries_of_what_measure_returns_are_numbers(value):
 
     with pytest.raises((TypeError, ValueError), match="u_h1 of what measure returns must be"):
         ec.errors.time_norms(space, problem, states, (0.0, 1.0), measure)
+
+
+def test_runs_on_two_meshes_are_compared_at_points():
+    coarse = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    ends = [list(ec.evolve(space, PROBLEM, 2, 0.05, 0.1))[-1] for space in (SPACE, coarse)]
+    with pytest.raises(ValueError, match=r"two meshes .*state\.space\.probe\(state\.x, state\.u, "):
+        ec.errors.difference(SPACE, *ends)
+    points = ends[1].x[:20]
+    one, other = (s.space.probe(s.x, s.u, points) for s in ends)
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-3)

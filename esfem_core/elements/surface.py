@@ -22,6 +22,7 @@ from esfem_core.elements.space import SurfaceSpace
 __all__ = ["Surface", "check_tensors"]
 
 SYMMETRY = 1e-10  # largest asymmetry of a tensor, relative to its largest entry
+CURVATURE = "; esfem_core.elements.normal_and_curvature(at)[1] is the mean curvature, nodal"
 
 Key = tuple[str, str]
 MATRICES, NORMAL, POINTS, DENSITY = ((name, "") for name in ("matrices", "normal", "points", "s"))
@@ -314,7 +315,10 @@ class Surface:
         check_string("name", name)
         if name not in self.fields:
             known = ", ".join(map(repr, self.fields)) or "none"
-            raise KeyError(f"there is no function {name!r} on this surface, only {known}")
+            raise KeyError(
+                f"there is no function {name!r} on this surface, only {known}"
+                f"{CURVATURE * (name == 'H')}"
+            )
         return self._array((kind, name))
 
     def _array(self, key: Key) -> Array:

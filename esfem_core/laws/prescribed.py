@@ -23,7 +23,9 @@ class Prescribed(Law):
     ----------
     motion : callable
         X(p, t): positions at time t, (N, 3), of the points p, (N, 3), of the initial surface, with
-        X(p, 0) = p.
+        X(p, 0) = p. The points p are always ``space.nodes``; of new triangles, which
+        :func:`esfem_core.remeshed` makes, there is another number of them: a motion that is known
+        at nodes only, such as a table of their positions, holds until then.
     velocity : callable
         v(x, t): velocities, (N, 3), at points x, (N, 3). Its flow is integrated from step to step
         by a Runge-Kutta method of order eight to a relative accuracy of 1e-12.

@@ -167,6 +167,7 @@ class Species(ReadOnly):
     def __post_init__(self) -> None:
         if self.source is not None:
             function("source", self.source, "of a Surface or None")
+        _check_one_rate(self.rate)
         if self.rate is not None and not callable(self.rate):
             object.__setattr__(self, "rate", number("rate", self.rate, least=0))
         check_even("diffusivity", self.diffusivity)
@@ -302,6 +303,14 @@ def _called(name: str) -> str:
 
 def _check_numbers(name: str, values: ArrayLike) -> None:
     finite_array(_called(name), values, ("...",))
+
+
+def _check_one_rate(rate: object) -> None:
+    if isinstance(rate, list | tuple) or (isinstance(rate, np.ndarray) and rate.ndim > 0):
+        raise TypeError(
+            f"rate must be a finite number >= 0, one for all components, or a function, got "
+            f"{shown(rate)}; components with rates of their own are species of their own"
+        )
 
 
 def check_initial(name: str, value: object) -> None:

@@ -11,7 +11,14 @@ from esfem_core.stepping.respacing import respaced, started_anew
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
 from esfem_core.stepping.start import exact_state
-from esfem_core.stepping.state import EvolutionError, Mass, State, check_state, known_space
+from esfem_core.stepping.state import (
+    EvolutionError,
+    Mass,
+    State,
+    check_state,
+    known_space,
+    same_space,
+)
 from esfem_core.stepping.systems import Statistics
 from esfem_core.stepping.times import same_time
 
@@ -34,6 +41,7 @@ __all__ = [
     "measure",
     "remeshed",
     "respaced",
+    "same_space",
     "same_time",
     "save",
     "started_anew",

@@ -335,8 +335,9 @@ def _require_small_turns(x: Array, faces: Ints, gradient: Field, h: float, turn:
         angle = np.degrees(np.arccos(np.clip(cosine[worst], -1, 1)))
         raise TooCoarseError(
             f"h must be smaller for this surface, got {h:g}, which is too large: near "
-            f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.0f} degrees within a "
-            f"triangle (allowed: {np.degrees(np.arccos(turn)):.0f}); where the surface has a "
+            f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.1f} degrees within a "
+            f"triangle (allowed: {np.degrees(np.arccos(turn)):.1f}); angles go with h, so try "
+            f"h = {0.8 * h * np.degrees(np.arccos(turn)) / angle:.2g}; where the surface has a "
             "crease no h is small enough",
             x[faces[worst]],
         )

@@ -481,3 +481,11 @@ def test_tensors_must_be_symmetric_up_to_rounding():
     message = r"stiffness must be symmetric, but entries .* of the tensors differ by up to 0\.25"
     with pytest.raises(ValueError, match=message):
         at.matrix(stiffness=tensor)
+
+
+def test_a_surface_without_a_curvature_says_what_makes_it():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 3), 2, ec.to_unit_sphere)
+    at = ec.Surface(space, 2 * space.nodes)
+    with pytest.raises(KeyError, match=r"'H' .*; esfem_core\.elements\.normal_and_curvature\(at\)"):
+        at["H"]
+    np.testing.assert_allclose(ec.elements.normal_and_curvature(at)[1], 1.0, atol=2e-3)

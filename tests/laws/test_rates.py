@@ -144,3 +144,17 @@ def test_arrays_of_a_species_are_copies_that_nobody_changes(name):
 def test_coefficients_of_laws_are_not_negative(law, name):
     with pytest.raises(ValueError, match=rf"{name} must be a finite number >= 0, got -1"):
         law(**{name: -1})
+
+
+@pytest.mark.parametrize("rate", [[1.0, 2.0], (1.0,), np.ones(2)])
+def test_a_rate_is_one_number_for_all_components(rate):
+    with pytest.raises(
+        TypeError, match=r"rate must be .*components with rates of their own are sp"
+    ):
+        ec.Species([1.0, 2.0], rate=rate)
+
+
+def test_a_condition_as_a_source_is_told_how_it_becomes_numbers():
+    with pytest.raises(TypeError, match=r"real numbers, got bool .*np\.where\(condition, 1\.0, 0"):
+        list(ec.evolve(SPACE, ec.Problem(1.0, lambda at: at.u > 1), 1, 0.1, 0.1))
+    list(ec.evolve(SPACE, ec.Problem(1.0, lambda at: np.where(at.u > 1, 1.0, 0.0)), 1, 0.1, 0.1))

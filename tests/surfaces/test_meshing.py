@@ -1,5 +1,6 @@
 """Meshes of level sets: topology, quality, area, and refusals that say why."""
 
+import re
 import sys
 
 import numpy as np
@@ -140,7 +141,7 @@ REFUSED = {
     ),
     "h and the curvature": (
         (two_rings, BOXES[two_rings], 0.4),
-        r"got 0\.4, which is too large: .* turns by \d+ degrees within a triangle",
+        r"got 0\.4, which is too large: .* turns by [\d.]+ degrees within a triangle",
     ),
     "between the points of the coarse grid": (
         (lambda x: np.linalg.norm(x - 0.1, axis=1) - 0.2, BOX, 0.5),
@@ -214,3 +215,11 @@ def test_where_triangles_are_too_large_a_crease_is_thought_of():
 
     with pytest.raises(ValueError, match=r"crease .*no h is small enough"):
         ec.from_level_set(balls, [[-1.6] * 3, [1.6] * 3], 0.15)
+
+
+def test_a_smaller_h_that_is_advised_does():
+    with pytest.raises(ValueError, match="try h = ") as found:
+        ec.from_level_set(two_rings, BOXES[two_rings], 0.4)
+    h = float(re.search(r"try h = ([\d.]+)", str(found.value))[1])
+    assert 0.1 < h < 0.4
+    ec.check_triangulation(ec.from_level_set(two_rings, BOXES[two_rings], h))
