@@ -28,9 +28,9 @@ def test_quadratic_elements_on_the_expanding_sphere():
     spaces = [ec.SurfaceSpace(ec.sphere("icosahedron", r), 2, ec.to_unit_sphere) for r in (1, 2, 3)]
     table = space_study(spaces, ec.problems.expanding_sphere(), 5, 1 / 200, 1.0)
     for name in ("x_l2", "v_l2", "u_l2"):
-        assert table.orders(name)[-1] > 3
-    for name in ("x_h1", "v_h1", "u_h1"):
-        assert table.orders(name)[-1] > 2
+        assert table.orders(name)[-1] == pytest.approx(4, abs=0.25), name
+    for name, distance in {"x_h1": 0.25, "v_h1": 0.25, "u_h1": 0.5}.items():
+        assert table.orders(name)[-1] == pytest.approx(3, abs=distance), name
 
 
 GROWING = ec.problems.growing_sphere(alpha=1, beta=1, delta=1, u0=4)
