@@ -30,11 +30,13 @@ from one_size import page_faults, run, sphere
 from timing import in_turn, machine, seconds, summary
 
 import esfem_core as ec
+from esfem_core.companion.campaign import DATA
 from esfem_core.elements import SurfaceSpace
 from esfem_core.solvers import LaggedSolver, cholmod, factorise, superlu, times, using_threads
 from esfem_core.study import final
 
-RESULTS = Path("esfem_core/companion/data/performance.json")
+RESULTS = DATA / "performance.json"
+ONE_SIZE = Path(__file__).with_name("one_size.py")
 
 
 def moved(space):
@@ -206,7 +208,7 @@ def scaling():
     """Seconds per step and peak memory, each size in a process of its own."""
     rows = []
     for refinements in (4, 5, 6, 7, 8):
-        command = [sys.executable, "benchmarks/one_size.py", str(refinements)]
+        command = [sys.executable, str(ONE_SIZE), str(refinements)]
         out = subprocess.run(command, capture_output=True, text=True, check=True)
         rows.append(json.loads(out.stdout))
         print(rows[-1], flush=True)
