@@ -9,7 +9,7 @@ from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
 from esfem_core.surfaces.faults import FLATTEST, Fault, check_coordinates, fault
-from esfem_core.surfaces.files import Elements, curved_elements, read_mesh
+from esfem_core.surfaces.files import curved_elements, read_mesh
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
 from esfem_core.surfaces.orientation import (
@@ -25,6 +25,7 @@ from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
 from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
 from esfem_core.surfaces.smooth import SmoothSurface, smooth
+from esfem_core.surfaces.sources import Elements
 
 __all__ = [
     "FLATTEST",

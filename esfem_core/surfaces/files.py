@@ -1,4 +1,4 @@
-"""Meshes from files and from other libraries: what trimesh, meshio and PyVista know.
+"""Meshes from files, and from other libraries by :mod:`esfem_core.surfaces.sources`.
 
 Files come as triangles, polygons, parts of a scene, curved elements or the inside of a body.
 :func:`read_mesh` makes flat triangles of all of them, :func:`curved_elements` keeps the nodes of
@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -24,7 +24,6 @@ from esfem_core.checks import (
     function,
     package,
     path_of,
-    real_array,
     shown,
     string,
 )
@@ -41,6 +40,7 @@ from esfem_core.surfaces.places import (
     without_unused,
 )
 from esfem_core.surfaces.repair import counted, dropping, remedy
+from esfem_core.surfaces.sources import Elements, of_mesh, of_meshio, of_scene
 from esfem_core.surfaces.text_files import (
     check_ply,
     counted_from_the_first,
@@ -50,7 +50,7 @@ from esfem_core.surfaces.text_files import (
 )
 from esfem_core.surfaces.unread import KINDS, passed_over
 
-__all__ = ["Elements", "curved_elements", "read_mesh"]
+__all__ = ["curved_elements", "read_mesh"]
 
 BY_TRIMESH = (
     *("stl", "stl_ascii", "ply", "obj", "off", "glb", "gltf", "3mf", "dae", "zae", "xaml"),
@@ -61,8 +61,6 @@ BY_MESHIO = (
     *("inp", "mdpa", "med", "mesh", "meshb", "msh", "nas", "node", "post", "su2", "tec"),
     *("ugrid", "vol", "vtk", "vtu", "xdmf", "xmf", "xml"),
 )
-VTK_CELLS = {5: "triangle", 7: "polygon", 9: "quad", 10: "tetra", 12: "hexahedron", 22: "triangle"}
-VTK_CELLS |= {69: "triangle"}
 SIDES_OF = {  # of cells of a body, outwards
     "tetra": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
     "hexahedron": [
@@ -70,34 +68,9 @@ SIDES_OF = {  # of cells of a body, outwards
     ],
 }
 
-CORNERS = {"triangle": 3, "quad": 4, "polygon": 3, "tetra": 4, "hexahedron": 8}
-
 SURFACE = ("triangle", "quad", "polygon")
 
 FLAT = ("vertex", "line", "curve", *(f"VTK cell type {n}" for n in (0, 1, 2, 3, 4, 21, 35, 68)))
-
-
-class Elements(NamedTuple):
-    """Points and cells as they come.
-
-    Attributes
-    ----------
-    name : str
-        What a report calls them.
-    points : (n, 3) float array
-    cells : list of (str, (m, k) int array)
-        Kinds without the number of their nodes: "triangle", "quad", "polygon", "tetra", ...
-    unit : str or None
-        Unit of length, if it is known.
-    notes : list of str
-        What was done and left out.
-    """
-
-    name: str
-    points: Array
-    cells: list[tuple[str, Ints]]
-    unit: str | None
-    notes: list[str]
 
 
 def read_mesh(
@@ -315,24 +288,7 @@ def _elements(source: Any) -> Elements:
                 "or give its path"
             )
         return _of_file(path_of("source", source, "a file"))
-    name = type(source).__name__
-    if isinstance(source, trimesh.Trimesh):
-        return _of_scene(name, trimesh.Scene([source]))
-    if isinstance(source, trimesh.Scene):
-        return _of_scene(name, source)
-    if hasattr(source, "points") and hasattr(source, "cells_dict") and hasattr(source, "cell_data"):
-        if hasattr(source, "celltypes"):
-            return _of_pyvista(name, source)
-        return _of_meshio(name, source)
-    if hasattr(source, "points") and hasattr(source, "faces") and hasattr(source, "triangulate"):
-        triangles = np.asarray(source.triangulate().faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
-        return Elements(name, _three(source.points), [("triangle", triangles)], None, [])
-    if hasattr(source, "extract_surface"):  # grids of PyVista
-        return _elements(source.extract_surface())._replace(name=name)
-    raise TypeError(
-        "source must be the path of a file, or a mesh of trimesh, meshio or PyVista, got "
-        f"{shown(source)}"
-    )
+    return of_mesh(source)
 
 
 def _of_file(path: Path) -> Elements:
@@ -356,7 +312,7 @@ def _of_file(path: Path) -> Elements:
             cells = [("triangle" if p.shape[1] == 3 else "polygon", p) for p in polygons]
             found = Elements(path.name, points, cells, None, [])
         elif kind in BY_TRIMESH:
-            found = _of_scene(path.name, _scene(path, kind))
+            found = of_scene(path.name, _scene(path, kind))
         else:
             meshio = _meshio(path)
             with (
@@ -364,7 +320,7 @@ def _of_file(path: Path) -> Elements:
                 contextlib.redirect_stderr(said),
                 _known_ends(meshio._files, meshio.tetgen._tetgen),
             ):
-                found = _of_meshio(path.name, meshio.read(path))
+                found = of_meshio(path.name, meshio.read(path))
     except ImportError as error:
         if error.name == "meshio":
             raise
@@ -466,91 +422,6 @@ def _solid(corners: Array, count: int) -> trimesh.Trimesh:
     """One of so many solids; of several each is joined by itself: two may have a side in common."""
     place = merged(corners, 0.0) if count > 1 else np.arange(len(corners))
     return trimesh.Trimesh(*without_unused(corners, place.reshape(-1, 3)), process=False)
-
-
-def _of_scene(name: str, scene: trimesh.Scene) -> Elements:
-    """All instances of all meshes of a scene, in their places."""
-    points, cells, notes = [np.zeros((0, 3))], [], []
-    nodes, unit = list(scene.graph.nodes_geometry), _unit(scene)
-    others: dict[str, int] = {}
-    for node in nodes:
-        transform, key = scene.graph[node]
-        part = scene.geometry[key]
-        if not isinstance(part, trimesh.Trimesh):
-            others[type(part).__name__] = others.get(type(part).__name__, 0) + 1
-            continue
-        faces = np.asarray(part.faces, dtype=np.int64)
-        if np.linalg.det(transform[:3, :3]) < 0:
-            faces = faces[:, ::-1]
-        cells.append(("triangle", faces + sum(map(len, points))))
-        vertices = np.asarray(part.vertices, dtype=float)
-        if not np.array_equal(transform, np.eye(4)):
-            vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
-        points.append(vertices)
-    if len(cells) > 1:
-        notes.append(f"parts of the scene joined: {len(cells)}")
-    if others:
-        left = ", ".join(f"{count} {kind}" for kind, count in others.items())
-        notes.append(f"left out: {left}")
-    return Elements(name, np.vstack(points), cells, unit, notes)
-
-
-def _of_meshio(name: str, mesh: Any) -> Elements:
-    blocks = [(_kind(block.type), np.asarray(block.data)) for block in mesh.cells]
-    for kind, data in blocks:
-        _check_block(name, kind, data)
-    cells = [(k, d.astype(np.int64)) for k, d in blocks if d.ndim == 2 and d.dtype.kind in "iu"]
-    return Elements(name, _three(mesh.points), cells, None, [])
-
-
-def _check_block(name: str, kind: str, data: Any) -> None:
-    """Refuse cells of a known kind that are no rows of integers, or of too few."""
-    least = CORNERS.get(kind)
-    if least is None or data.size == 0:
-        return
-    if data.ndim != 2 or data.dtype.kind not in "iu" or data.shape[1] < least:
-        raise ValueError(
-            f"source must have rows of {least} or more integers for cells of kind {kind}, but "
-            f"those of {name} are of type {data.dtype} and shape {data.shape}"
-        )
-
-
-def _of_pyvista(name: str, grid: Any) -> Elements:
-    types = np.asarray(grid.celltypes)
-    ends = np.asarray(grid.cell_offsets if hasattr(grid, "cell_offsets") else grid.offset)
-    numbers, sizes = np.asarray(grid.cell_connectivity, dtype=np.int64), np.diff(ends)
-    cells = []
-    for code, size in np.unique(np.stack([types, sizes]), axis=1).T.tolist():
-        begin = ends[:-1][(types == code) & (sizes == size)]
-        kind = VTK_CELLS.get(code, f"VTK cell type {code}")
-        cells.append((kind, numbers[begin[:, None] + np.arange(size)]))
-    return Elements(name, _three(grid.points), cells, None, [])
-
-
-def _three(points: Any) -> Array:
-    """Points with three coordinates."""
-    array = real_array("the points of source", points, ("n", "m"))
-    return np.pad(array, ((0, 0), (0, 3 - array.shape[1]))) if array.shape[1] < 3 else array
-
-
-def _kind(name: str) -> str:
-    """Meshio's name of a kind of cells without order and number of nodes."""
-    plain = name.lower().replace("vtk_lagrange_", "")
-    plain = plain.replace("quadrilateral", "quad").replace("tetrahedron", "tetra")
-    return re.sub(r"\d+$", "", plain)
-
-
-def _unit(scene: trimesh.Scene) -> str | None:
-    """The unit of the parts, or None; parts in different ones are refused: they do not fit."""
-    parts = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-    units = sorted({p.units for p in parts if isinstance(p, trimesh.Trimesh) and p.units})
-    if len(units) > 1:
-        raise ValueError(
-            f"source must have parts of one unit, but those of the scene are in "
-            f"{' and '.join(units)}: part.convert_units({units[0]!r}) for each part, before the "
-            "scene is made of them"
-        )
-    return units[0] if units else None
 
 
 def _triangles(found: Elements) -> Ints:
