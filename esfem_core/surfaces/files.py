@@ -70,6 +70,12 @@ SIDES_OF = {  # of cells of a body, outwards
 
 SURFACE = ("triangle", "quad", "polygon")
 
+COARSE = 1e-4  # steps of coordinates that are worth a word, over the mean edge
+FAR = 10.0  # distance from the origin, over the size, from which on these are for moving a surface
+ODD = (
+    0.1  # share of odd numbers of steps: fewer are no rounding, but a grid such as of whole numbers
+)
+
 FLAT = ("vertex", "line", "curve", *(f"VTK cell type {n}" for n in (0, 1, 2, 3, 4, 21, 35, 68)))
 
 
@@ -163,6 +169,7 @@ def read_mesh(
     if not curved:
         steps += dropping(given - len(vertices))
     vertices, faces = _joined(vertices, faces, steps)
+    steps += _rounded_far_away(vertices, faces)
     scale, unit = _scale(found, unit)
     made = trimesh.Trimesh(scale * vertices, faces, process=False)
     if unit is not None:  # trimesh makes text of None
@@ -182,6 +189,29 @@ def _described(vertices: Array, faces: Ints, scale: float) -> str:
     parts = counted(int(components(faces).max(initial=-1)) + 1, "component")
     corners = counted(len(vertices), "vertex", "vertices")
     return f"{corners}, {counted(len(faces), 'triangle')}, {parts}, {size}"
+
+
+def _rounded_far_away(vertices: Array, faces: Ints) -> Iterator[str]:
+    """A note if single precision has rounded the shape, far from the origin."""
+    x = vertices[np.isfinite(vertices).all(axis=1)]
+    with np.errstate(over="ignore"):
+        single = x.astype(np.float32)
+    if len(x) == 0 or not np.array_equal(x, single):
+        return
+    axis = int(np.argmax(np.abs(x).max(axis=0)))
+    largest = float(np.abs(x[:, axis]).max())
+    step = float(np.spacing(np.float32(largest)))
+    with np.errstate(all="ignore"):  # of corners that are not finite, nothing is said here
+        sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+        edge = float(np.linalg.norm(sides, axis=2).mean())
+    far = largest > FAR * np.ptp(x, axis=0).max()
+    rounded = (np.spacing(np.abs(single[:, axis])) == step) & (x[:, axis] / step % 2 == 1)
+    if far and step > COARSE * edge and rounded.mean() > ODD:
+        yield (
+            f"coordinates have steps of {step:.2g}, {step / edge:.1g} of an edge: so far from the "
+            "origin single precision rounds the shape to these, and ec.repair does not bring it "
+            "back; move the surface to the origin before it is saved"
+        )
 
 
 def _fitness(vertices: Array, faces: Ints) -> str:
@@ -248,6 +278,7 @@ def curved_elements(source: Any) -> Elements:
     nodes, cells = without_unused(found.points, cells)
     found.notes.extend(dropping(len(found.points) - len(nodes)))
     nodes, cells = _with_shared_nodes(nodes, cells, found.notes)
+    found.notes.extend(_rounded_far_away(nodes, cells[:, :3]))
     _, once = np.unique(np.sort(cells, axis=1), axis=0, return_index=True)
     if len(once) < len(cells):
         found.notes.append(f"dropped {counted(len(cells) - len(once), 'element')} given before")

@@ -664,3 +664,41 @@ def test_polygons_of_several_kinds_in_an_off_file_are_cut_into_triangles(folder,
     tri, said = read(path)
     assert said[-1] == "fit for ec.SurfaceSpace"
     assert tri.volume == pytest.approx(corners / 2 * np.sin(2 * np.pi / corners))
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])
+@pytest.mark.parametrize(
+    ("away", "step"), [(500, None), (1e5, "0.0078, 0.01"), (1e6, "0.062, 0.1")]
+)
+def test_rounding_far_from_the_origin_is_told(folder, suffix, away, step):
+    """The steps of single precision, against edges of 0.56; of 1e-4 of these nothing is said."""
+    shift = np.array([0, away, 0])
+    far = mesh(SPHERE.vertices + shift, SPHERE.faces)
+    tri, said = read(written(folder, f"far.{suffix}", far))
+    notes = [text for text in said if "single precision" in text]
+    wanted = f"coordinates have steps of {step} of an edge: so far from the origin"
+    assert [text.startswith(wanted) for text in notes] == [True] * (step is not None)
+    assert all("move the surface to the origin before it is saved" in text for text in notes)
+    moved = mesh(tri.vertices - shift, tri.faces)  # too late
+    assert (abs(moved.volume / SPHERE.volume - 1) > 1e-5) == (step is not None)
+
+
+def test_coordinates_that_are_not_rounded_are_not_called_so(folder):
+    """Double precision, whole numbers, and fine meshes around the origin."""
+
+    def notes(tri):
+        return [text for text in read(tri)[1] if "single precision" in text]
+
+    far = mesh(SPHERE.vertices + 1e6, SPHERE.faces)
+    whole = trimesh.creation.box((2, 2, 2)).apply_translation([5e4, 0, 0])
+    fine = mesh((1e-4 * SPHERE.vertices).astype(np.float32), SPHERE.faces)
+    wide = trimesh.util.concatenate([fine, trimesh.creation.box((2, 2, 2))])
+    assert notes(far) == notes(whole) == notes(fine) == notes(wide) == []
+    assert len(notes(mesh(far.vertices.astype(np.float32), far.faces))) == 1
+
+
+def test_rounding_of_curved_elements_is_told(folder):
+    said = []
+    far = mesh((SPHERE.vertices + 1e5).astype(np.float32), SPHERE.faces)
+    ec.SurfaceSpace.read(far, report=said.append)
+    assert sum("coordinates have steps of 0.0078" in text for text in said) == 1
