@@ -1,17 +1,19 @@
 """Whether motion, exact solution and slip belong to the surface that a run starts on."""
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import product
 
 import numpy as np
 
-from esfem_core.checks import Array, finite_array, level_outside, real_array
+from esfem_core.checks import Array, Ints, finite_array, level_outside, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
+from esfem_core.surfaces import components
 
 __all__ = [
     "check_exact",
@@ -21,6 +23,7 @@ __all__ = [
     "check_precision",
     "check_slip",
     "check_start_of_motion",
+    "check_starts",
     "innermost",
 ]
 
@@ -127,6 +130,59 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
             f"{last.x[node].tolist()}, while X(p, t) = {x[node].tolist()} at t = {last.t:g}"
             f"{NEW_TRIANGLES}"
         )
+
+
+def check_starts(
+    space: SurfaceSpace, problem: Problem, start: str | Sequence[State], order: int, step: float
+) -> None:
+    """Refuse starting states of which a closed component is inside out against the space.
+
+    A run looks at what happens from its last starting state on only.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+    start : "exact", "euler" or sequence of State
+        For "exact" with an exact solution. Euler steps are looked at when they are made.
+    order : int
+    step : float
+
+    Raises
+    ------
+    ValueError
+    """
+    at: list[tuple[str, Array]] = []
+    if not isinstance(start, str):
+        at = [(f"start[{i - len(start)}]", state.x) for i, state in enumerate(start)]
+    elif start == "exact" and problem.exact is not None:
+        nodes = space.nodes
+        # What is no number there is refused when the states are made.
+        with np.errstate(all="ignore"), suppress(ArithmeticError, ValueError):
+            for t in (n * step for n in range(1, order)):
+                x = finite_array("exact.x", problem.exact.x(nodes.copy(), t), nodes.shape)
+                at.append((f"exact.x(p, t) at t = {t:g}", x))
+    component = components(space.cells[:, :3])
+    at_boundary = np.isin(space.cells[:, :3], space.boundary_nodes).any(axis=1)
+    is_open = np.isin(np.arange(component.max() + 1), component[at_boundary])
+    before = _volumes(space, space.nodes, component)
+    for name, x in at:
+        volume = _volumes(space, x, component)
+        turned = (volume * before < 0) & ~is_open
+        if turned.any():
+            i = int(np.argmax(turned))
+            which = f"component {i} of the surface" if len(volume) > 1 else "the surface"
+            raise ValueError(
+                f"{name} must be oriented as the nodes of the space are, but {which} is inside out "
+                f"there: it encloses a volume of {volume[i]:.3g}, with the nodes of the space "
+                f"{before[i]:.3g}"
+            )
+
+
+def _volumes(space: SurfaceSpace, x: Array, component: Ints) -> Array:
+    """Volumes that the flat triangles of components enclose."""
+    a, b, c = (x - x[0])[space.cells[:, :3].T]
+    return np.bincount(component, np.vecdot(a, np.cross(b, c))) / 6
 
 
 def check_exact(space: SurfaceSpace, problem: Problem, t: float, end: float) -> None:

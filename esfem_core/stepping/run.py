@@ -45,6 +45,7 @@ from esfem_core.stepping.agreement import (
     check_precision,
     check_slip,
     check_start_of_motion,
+    check_starts,
     innermost,
 )
 from esfem_core.stepping.bdf import MOST_STEPS
@@ -272,6 +273,7 @@ def evolve(
         check_exact(space, problem, step, end)
     if given == "exact":
         check_exact_functions(space, problem, first)
+    check_starts(space, problem, given, order, step)
     check_precision(problem.law, first)
     check_slip(space, problem.law, first, order, step)
     check_units(space, problem, first, step)

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import trimesh
 
 import esfem_core as ec
 
@@ -287,3 +288,51 @@ def test_a_step_may_be_a_number_of_any_library(step, tmp_path):
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     run = ec.evolve(space, ec.problems.growing_sphere(), 1, step, 2.0, save=tmp_path / "run.npz")
     assert list(run)[-1].t == 2.0
+
+
+def turned(x, which=slice(None)):
+    """Point reflection, which leaves every normal as it is and turns the volume around."""
+    x = x.copy()
+    x[which] = 2 * x[which].mean(axis=0) - x[which]
+    return x
+
+
+def starting(space, problem, positions, **options):
+    states = [ec.State(0.1 * n, x, None, np.ones(len(x))) for n, x in enumerate(positions)]
+    return ec.evolve(space, problem, len(states), 0.1, 1.0, start=states, **options)
+
+
+@pytest.mark.parametrize("which", [[0], [1], [0, 1]], ids=["the first", "the last", "both"])
+def test_starting_states_that_are_inside_out_are_refused(which):
+    """They would run with normals that point inwards."""
+    x = [turned(SPACE.nodes) if n in which else SPACE.nodes for n in (0, 1)]
+    message = (
+        rf"start\[{which[0] - 2}\] must be oriented as the nodes of the space are, but the surface "
+        r"is inside out there: it encloses a volume of -[\d.]+, with the nodes of the space \d"
+    )
+    with pytest.raises(ValueError, match=message):
+        starting(SPACE, ec.Problem(1.0), x)
+
+
+def test_a_component_of_a_starting_state_may_not_be_inside_out_but_a_cavity_is():
+    inner = ec.sphere("octahedron", 1).apply_scale(0.5)
+    inner.faces = inner.faces[:, ::-1]
+    both = trimesh.util.concatenate([ec.sphere("octahedron", 1), inner])
+    space = ec.SurfaceSpace(both)
+    starting(space, ec.Problem(1.0), [space.nodes])
+    of_cavity = np.linalg.norm(space.nodes, axis=1) < 0.6
+    with pytest.raises(ValueError, match=r"start\[-1\] must .* but component 1 of the surface is"):
+        starting(space, ec.Problem(1.0), [turned(space.nodes, of_cavity)])
+
+
+def test_exact_starting_states_are_not_inside_out():
+    problem = ec.problems.growing_sphere()
+
+    def after(function):
+        return lambda p, t: function(p, t) * (1 if t == 0 else -1)
+
+    exact = problem.exact._replace(x=after(problem.exact.x), v=after(problem.exact.v))
+    wrong = dataclasses.replace(problem, exact=exact)
+    ec.evolve(SPACE, wrong, 1, 0.1, 0.4)  # its one starting state is right
+    with pytest.raises(ValueError, match=r"exact.x\(p, t\) at t = 0.1 must be oriented as the no"):
+        ec.evolve(SPACE, wrong, 3, 0.1, 0.4)
