@@ -16,6 +16,7 @@ NARROW = 0.02  # below this, an angle of about 0.7 degrees, a run will not survi
 NARROW_TURN = 0.5  # cosine: a narrow triangle turns by 60 degrees within a step at most
 SHAPE = 2 * np.sqrt(3)  # makes the shape of an equilateral triangle 1
 GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
+HUGE = 1e100  # no quantity: from here on worth a warning, wherever a run has started
 
 
 class EvolutionWarning(UserWarning):
@@ -200,7 +201,8 @@ class Guard:
     def look_at_functions(self, x: Array, fields: Mapping[str, Array]) -> None:
         """Refuse functions that are not finite or have grown beyond all bounds.
 
-        Nothing is a multiple of zero: a function that starts from it has no bound.
+        Nothing is a multiple of zero: a function that starts from it has no bound. Beyond 1e100, of
+        which a run that goes on in pieces may know nothing, it warns.
 
         Raises
         ------
@@ -212,6 +214,13 @@ class Guard:
                 node = int(np.argmin(np.isfinite(w).reshape(len(w), -1).all(axis=1)))
                 raise FloatingPointError(
                     f"{name} is not finite at node {node} near {_rounded(x[node])}"
+                )
+            if largest > max(HUGE, 2 * self._largest[name]):
+                self._warn_once(
+                    f"size of {name}",
+                    f"{name} has grown to {largest:.3g}, which measures nothing: the step is too "
+                    "large for what is explicit, or the solution blows up; a run that goes on from "
+                    "states begins anew to compare values with those at its start",
                 )
             start = self._largest[name]
             if start == 0 or largest <= min(GROWTH, self._growth) * start:

@@ -168,7 +168,9 @@ def evolve(
     growth : float
         How much larger than at the start the values of a function may become before the run stops
         with an error, or infinity; at a factor of 1e6 it warns. What is zero at the start has no
-        bound; what is zero but for rounding needs infinity.
+        bound; what is zero but for rounding needs infinity. The bound begins anew with each start:
+        in a run that goes on from its own states in pieces, each piece may grow so much, and only
+        values beyond 1e100 are warned of.
     statistics : Statistics, optional
         Collects what the linear solvers do, to be read while the run goes on.
     save : path, optional
@@ -214,8 +216,8 @@ def evolve(
     EvolutionWarning
         If `save` cannot be written; the run goes on, and an older file is untouched.
         Once each, and the run goes on: where an angle falls below 0.7 to 1 degree or values have
-        grown by a factor of 1e6, so that the run will hardly survive; and where the surface folds
-        step by step, so that results mean little there from now on: neighbouring triangles come to
+        grown by a factor of 1e6, or beyond 1e100, so that the run will hardly survive; and where
+        the surface folds step by step, so that results mean little there from now on: neighbouring triangles come to
         enclose less than 60 degrees, or a normal inside a curved element to make more than a right
         angle with that of its flat triangle; and where a component with a boundary passes through a
         point and comes out inside out. At the call, for alpha = 0 with mean curvature and

@@ -411,7 +411,7 @@ class TestFunctions:
 
     def test_a_function_that_starts_from_zero_has_no_bound_but_must_be_finite(self):
         own = guard(growth=2, u=np.zeros(N))
-        for size in (0.0, 1e-300, 1.0, 1e300):
+        for size in (0.0, 1e-300, 1.0, 1e99):
             own.look_at_functions(X, {"u": np.full(N, size)})
         with pytest.raises(FloatingPointError, match="u is not finite"):
             own.look_at_functions(X, {"u": np.full(N, np.inf)})
@@ -426,6 +426,26 @@ class TestFunctions:
 
 class TestGrowthInRuns:
     PROBLEM = ec.Problem(1.0, f=lambda at: 100 * at.u, motion=lambda p, t: p)
+
+    def test_a_run_in_pieces_warns_of_what_is_no_quantity(self):
+        """None of the pieces reaches the bound of its own."""
+        unstable = ec.Problem(1.0, f=lambda at: -1000 * at.u, motion=lambda p, t: p)
+        states = list(ec.evolve(SPACE, unstable, 1, 0.05, 0.05))
+        said = []
+        for _ in range(22):
+            with warnings.catch_warnings(record=True) as found:
+                warnings.simplefilter("always")
+                end = states[-1].t + 0.15
+                states = list(ec.evolve(SPACE, unstable, 1, 0.05, end, start=states[-1:]))
+            said.append([str(one.message) for one in found])
+        assert abs(states[-1].u).max() > 1e110
+        assert not any(said[:19])
+        assert all(text.startswith("u has grown to ") for [text] in said[20:])
+        assert "a run that goes on from states begins anew to compare values" in said[-1][0]
+
+    def test_values_that_are_huge_from_the_start_have_not_grown(self):
+        own = guard(u=np.full(N, 1e200))
+        own.look_at_functions(X, {"u": np.full(N, 1.5e200)})
 
     def test_a_run_warns_once_and_stops_at_the_bound(self):
         states = []
