@@ -217,9 +217,9 @@ def evolve(
         If `save` cannot be written; the run goes on, and an older file is untouched.
         Once each, and the run goes on: where an angle falls below 0.7 to 1 degree or values have
         grown by a factor of 1e6, or beyond 1e100, so that the run will hardly survive; and where
-        the surface folds step by step, so that results mean little there from now on: neighbouring triangles come to
-        enclose less than 60 degrees, or a normal inside a curved element to make more than a right
-        angle with that of its flat triangle; and where a component with a boundary passes through a
+        the surface folds step by step, so that results mean little there from now on: neighbouring
+        triangles come to enclose less than 60 degrees, or a normal inside a curved element to make
+        more than a right angle with that of its flat triangle; and where a component with a boundary passes through a
         point and comes out inside out. At the call, for alpha = 0 with mean curvature and
         degree 2 or more, or with p = 4 or more, which is unstable; for a slip of which more than
         a fifth is normal; and for alpha of :class:`esfem_core.laws.Regularised`, or a constant
