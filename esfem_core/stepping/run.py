@@ -219,14 +219,15 @@ def evolve(
         grown by a factor of 1e6, or beyond 1e100, so that the run will hardly survive; and where
         the surface folds step by step, so that results mean little there from now on: neighbouring
         triangles come to enclose less than 60 degrees, or a normal inside a curved element to make
-        more than a right angle with that of its flat triangle; and where a component with a boundary passes through a
-        point and comes out inside out. At the call, for alpha = 0 with mean curvature and
-        degree 2 or more, or with p = 4 or more, which is unstable; for a slip of which more than
-        a fifth is normal; and for alpha of :class:`esfem_core.laws.Regularised`, or a constant
-        diffusivity times the step, of more than 1e8 area/(4 pi), where rounding takes amounts and
-        the motion of the surface as a whole: see to the units; and for a rate that is so much
-        larger at some places than at others, as a penalty is, that a "lagged" or "cholmod" solver
-        may lose more than 1e-6 of the values at these in each step.
+        more than a right angle with that of its flat triangle; and where a component with a
+        boundary passes through a point and comes out inside out.
+        At the call, for alpha = 0 with mean curvature and degree 2 or more, or with p = 4 or more,
+        which is unstable; for a slip of which more than a fifth is normal; for alpha of
+        :class:`esfem_core.laws.Regularised`, or a constant diffusivity times the step, of more
+        than 1e8 area/(4 pi), where rounding takes amounts and the motion of the surface as a whole:
+        see to the units; and for a rate that is so much larger at some places than at others, as a
+        penalty is, that a "lagged" or "cholmod" solver may lose more than 1e-6 of the values at
+        these in each step.
     UserWarning
         At the call, for p = 6.
 
