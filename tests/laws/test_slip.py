@@ -68,6 +68,31 @@ def test_orders_in_time_of_a_turning_mesh(law):
             assert orders[name] > p - 0.4, (p, name)
 
 
+def test_a_prescribed_velocity_is_taken_at_its_own_time_also_under_a_slip():
+    """That of the old time has order one."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
+    lift = ec.laws.Prescribed(velocity=lambda x, t: 0 * x + [0, 0, np.cos(t)])
+    problem = ec.Problem(law=ec.laws.with_slip(lift, lambda at: 0 * at.x))
+    ends = [final(ec.evolve(space, problem, 3, step, 1.0)).x for step in (1 / 20, 1 / 40)]
+    errors = [abs(x - space.nodes - [0, 0, np.sin(1.0)]).max() for x in ends]
+    assert np.log2(errors[0] / errors[1]) > 2.5
+
+
+@pytest.mark.parametrize("conserved", [True, False])
+def test_components_are_carried_as_each_is_by_itself(conserved):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    species = {
+        "a": ec.Species(lambda x: 2 + x[:, 0], conserved=conserved),
+        "b": ec.Species(lambda x: x[:, 1] * x[:, 2], conserved=conserved),
+        "both": ec.Species(
+            lambda x: np.stack([2 + x[:, 0], x[:, 1] * x[:, 2]], axis=1), conserved=conserved
+        ),
+    }
+    problem = ec.Problem(species=species, law=ec.laws.with_slip(REST["prescribed"], turn))
+    last = final(ec.evolve(space, problem, 2, 0.05, 0.3, solver="direct"))
+    np.testing.assert_allclose(last["both"], np.stack([last["a"], last["b"]], axis=1), atol=1e-12)
+
+
 U = {"u": ec.Species(lambda x: 1 + x[:, 0] * x[:, 1])}
 MOVING = {
     "prescribed": ec.laws.Prescribed(velocity=lambda x, t: x * [0.3, 0, -0.2]),
@@ -128,6 +153,13 @@ def test_a_step_that_is_too_long_for_the_elastic_slip_is_warned_of(order, step):
         )
     for law in (ec.laws.with_slip(rest, ec.laws.Elastic(rate=1.0)), rest):
         ec.evolve(space, ec.Problem(1.0, law=law), order, step, 3 * step)
+
+
+def test_the_largest_step_of_the_elastic_slip_is_a_little_below_the_limit_of_its_roots():
+    """Of x' = -kappa x with x extrapolated: sum 2^j/j over 2^p - 1, where a root is -1."""
+    for p in range(1, 7):
+        limit = sum(2**j / j for j in range(1, p + 1)) / (2**p - 1)
+        assert 0.8 < ec.laws.Elastic(1.0, area=0.0).largest_step(p) / limit < 0.87
 
 
 def test_a_law_with_a_slip_does_not_keep_the_spaces_of_its_runs():
