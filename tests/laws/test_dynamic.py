@@ -120,6 +120,13 @@ def test_a_run_that_goes_on_gives_the_same_bits(mass):
         np.testing.assert_array_equal(again[name], states[-1][name])
 
 
+def test_a_law_of_nothing_but_a_number_starts_with_it_and_has_viscosity_but_no_tension():
+    law = ec.laws.Dynamic(0.5)
+    assert (law.alpha, law.beta) == (1.0, 0.0)
+    first = next(iter(ec.evolve(SPACE, ec.Problem(law=law), 1, 0.1, 0.1)))
+    assert (first["velocity"] == 0.5).all()
+
+
 def test_an_array_of_the_caller_may_change_afterwards():
     v0 = np.ones_like(SPACE.nodes)
     law = ec.laws.Dynamic(v0)

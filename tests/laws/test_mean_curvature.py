@@ -296,6 +296,17 @@ def test_the_mean_of_the_principal_curvatures_is_no_curvature(normal, degree):
         half.initial(at)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_curvature_is_that_of_the_surface_however_far_away_it_lies(sign):
+    """Its sign and size are looked at on the surface moved to the origin."""
+    tri = ec.surfaces.displaced(ec.sphere("icosahedron", 2), 0.2, ELLIPSOID.closest)
+    space = ec.SurfaceSpace(tri)
+    given = ELLIPSOID.normal(space.nodes), ELLIPSOID.mean_curvature(space.nodes)
+    law = ec.laws.MeanCurvature(normal=given[0], curvature=given[1])
+    found = law.initial(ec.Surface(space, space.nodes + np.array([sign * 1e7, 0, 0])))
+    np.testing.assert_array_equal(found["H"], given[1])
+
+
 def test_no_curvature_at_all_is_refused():
     space = torus_space(8, 5)
     flat = ec.laws.MeanCurvature(curvature=np.zeros(len(space.nodes)))

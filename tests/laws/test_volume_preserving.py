@@ -57,6 +57,18 @@ def test_no_volume_flows_through_the_extrapolated_surface(law):
     assert abs(flux) < 1e-9 * SPACE.integrate(x, abs((v * normal).sum(axis=-1)))
 
 
+def test_the_pressure_is_the_mean_speed_over_the_surface_in_the_equations_too():
+    """Normal and H are those of a force g - lambda, lambda the mean of g - beta H."""
+    x = SPACE.nodes
+    at = ec.Surface(SPACE, x, {"normal": x, "H": 2 + x[:, 0] ** 2})
+    law = ec.laws.VolumePreserving(ec.laws.MeanCurvature(0.5, lambda x, t: 3 + x[:, 2]))
+    pressure = at.mean(3 + SPACE.evaluate(x[:, 2]) - 0.5 * at["H"])
+    same = ec.laws.MeanCurvature(0.5, lambda x, t: 3 + x[:, 2] - pressure)
+    for name in ("normal", "H"):
+        found = law.equations(0.1, x)[name].load(name, at)
+        np.testing.assert_allclose(found, same.species[name].load(name, at), atol=1e-12)
+
+
 def vars_of(law):
     names = ("alpha", "beta", "g", "normal", "curvature")
     return {name: getattr(law, name) for name in names if name in law.__dataclass_fields__}
