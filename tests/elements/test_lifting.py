@@ -99,6 +99,15 @@ def test_functions_on_the_exact_surface_may_write_into_their_points():
         np.testing.assert_array_equal(found, expected)
 
 
+def test_integrals_are_exact_for_two_degrees_more_than_products():
+    """Up to degree three the rule for one degree more is the same."""
+    space = space_of(0, 4)
+    given = space, space.nodes, ec.to_unit_sphere, space.nodes, lambda y: 0 * y
+    np.testing.assert_array_equal(
+        squared_differences(*given), squared_differences(*given, exactness=2 * 4 + 2)
+    )
+
+
 @pytest.mark.parametrize("t", [0.3, 0.9])
 def test_lifted_and_unlifted_norms_agree_up_to_the_geometry_error(t):
     """Their ratio is 1 + O(h^2): the error's gradient is that on another tangent plane."""

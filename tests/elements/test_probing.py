@@ -96,6 +96,17 @@ def test_no_sample_of_a_crumpled_curved_surface_is_closer(degree, noise):
     np.testing.assert_allclose(found.distance, gap, rtol=1e-13, atol=1e-14)
 
 
+def test_no_sample_is_closer_where_elements_of_degree_four_have_several_feet():
+    """Searches must start from the corners of an element's parts, not from their centres only."""
+    space, rng = sphere(4, 1), np.random.default_rng(2)
+    x = space.nodes + 0.3 * rng.uniform(-1, 1, space.nodes.shape)
+    points = 1.3 * rng.uniform(-1, 1, (100, 3))
+    lattice = np.array([(i / 40, j / 40) for i in range(41) for j in range(41 - i)])
+    samples = (tabulate(4, lattice).values @ x[space.cells]).reshape(-1, 3)
+    nearest = cKDTree(samples).query(points)[0]
+    assert (closest_points(space, x, points).distance <= nearest + 1e-12).all()
+
+
 @pytest.mark.parametrize("degree", DEGREES)
 def test_nodes_return_themselves_in_their_smallest_element(degree):
     space = sphere(degree, 1)
@@ -268,6 +279,14 @@ def test_from_very_far_away_the_tip_is_closest(distance):
     found = closest_points(space, space.nodes, distance * axes)
     np.testing.assert_allclose(found.points, axes, atol=1e-6)
     np.testing.assert_allclose(found.distance, distance, rtol=2e-9)
+
+
+def test_seen_from_afar_a_surface_that_is_moved_has_its_closest_points_moved():
+    space, away = sphere(2), np.array([5.0, 0, 0])
+    far = 1e5 * ec.to_unit_sphere(np.array([[1.0, 2.0, 3.0]]))
+    here = closest_points(space, space.nodes, far).points
+    there = closest_points(space, space.nodes + away, away + far).points
+    np.testing.assert_allclose(there - away, here, atol=1e-6)
 
 
 @pytest.mark.parametrize("power", [-900, -300, 300, 900])

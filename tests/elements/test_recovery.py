@@ -67,14 +67,25 @@ def test_a_component_does_not_depend_on_others(degree):
     """One length of smoothing for both would be that of the large one."""
     small, large = ec.torus(n=24, m=12).apply_scale(0.1), ec.sphere("icosahedron", 2).apply_scale(3)
     both = trimesh.util.concatenate([small, large.apply_translation([5, 0, 0])])
-    alone, beside = (ec.SurfaceSpace(tri, degree) for tri in (small, both))
+    beside = ec.SurfaceSpace(both, degree)
+    together = normal_and_curvature(ec.Surface(beside, beside.nodes))
     near = np.linalg.norm(beside.nodes, axis=1) < 0.5
-    for own, found in zip(
-        *(normal_and_curvature(ec.Surface(space, space.nodes)) for space in (alone, beside)),
-        strict=True,
-    ):
-        # The order of nodes on edges is another.
-        np.testing.assert_allclose(np.sort(found[near], 0), np.sort(own, 0), rtol=0, atol=1e-9)
+    for tri, here in ((small, near), (large, ~near)):
+        alone = ec.SurfaceSpace(tri, degree)
+        by_itself = normal_and_curvature(ec.Surface(alone, alone.nodes))
+        for own, found in zip(by_itself, together, strict=True):
+            # The order of nodes on edges is another.
+            np.testing.assert_allclose(np.sort(found[here], 0), np.sort(own, 0), rtol=0, atol=1e-9)
+
+
+def test_a_nodal_average_weighs_elements_by_their_areas():
+    tri = ec.torus(n=12, m=6)
+    space = ec.SurfaceSpace(tri)
+    numbers = np.arange(len(tri.faces)) ** 2.0
+    found = nodal_average(ec.Surface(space, space.nodes), np.tile(numbers[:, None], (1, 3)))
+    corners, areas = tri.faces.ravel(), np.repeat(tri.area_faces, 3)
+    expected = np.bincount(corners, np.repeat(numbers, 3) * areas) / np.bincount(corners, areas)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_a_flow_of_flat_triangles_starts_with_them():

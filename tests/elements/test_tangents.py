@@ -38,6 +38,28 @@ def test_values_are_looked_up_where_points_are_near():
     assert np.abs(found - points[:, 2]).max() < 0.03
 
 
+def off_by(planes, x, points):
+    """How far points are from the places whose values are theirs."""
+    found = np.stack([planes.values(column, points) for column in x.T], axis=1)
+    return np.linalg.norm(found - points, axis=1)
+
+
+def test_no_side_of_the_parts_of_long_triangles_is_longer_than_the_spacing():
+    """So that their centres are at most two thirds of it away."""
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1).apply_scale([6.0, 1, 1]))
+    x, b = space.nodes, np.random.default_rng(0).dirichlet([1, 1, 1], 200)
+    points = (b @ x[space.cells]).reshape(-1, 3)
+    assert off_by(TangentPlanes(ec.Surface(space, x), 0.3), x, points).max() < 2 / 3 * 0.3
+
+
+def test_points_that_share_coordinates_with_those_before_have_their_own_planes():
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    planes, fresh = (TangentPlanes(ec.Surface(space, space.nodes), 0.05) for _ in range(2))
+    planes.distance(np.array([[0.0, 0.0, 1.1]]))
+    below = np.array([[0.0, 0.0, -1.1]])
+    np.testing.assert_array_equal(planes.distance(below), fresh.distance(below))
+
+
 def test_spacings_and_normals_that_give_no_planes_are_refused():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1)
     at = ec.Surface(space, space.nodes)
@@ -69,3 +91,5 @@ def test_no_spacing_is_too_small_for_a_64th_of_a_side():
     least = TangentPlanes(at, np.sqrt(2) / 64).distance(points)
     np.testing.assert_array_equal(TangentPlanes(at, 1e-300).distance(points), least)
     np.testing.assert_array_equal(TangentPlanes(at, np.full(8, 1e-300)).distance(points), least)
+    places = off_by(TangentPlanes(at, 1e-300), space.nodes, space.nodes)  # two thirds of heights
+    np.testing.assert_allclose(places, np.sqrt(2 / 3) / 64, rtol=1e-12)
