@@ -36,15 +36,24 @@ def test_points_satisfy_the_equations():
     np.testing.assert_allclose(((x / [1.4, 1.0, 0.7]) ** 2).sum(axis=1), 1, atol=1e-13)
 
 
-@pytest.mark.parametrize("surface", SURFACES)
-def test_weingarten_map_is_the_differential_of_the_normal(surface):
+def uneven(x):
+    return (x**2 / [4, 1, 0.49]).sum(axis=1) - 1 + 0.1 * np.sin(x[:, 0] * x[:, 1] + x[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("surface", "accuracy"),
+    [*((surface, 1e-8) for surface in SURFACES), (LevelSet(uneven), 2e-6)],
+)
+def test_weingarten_map_is_the_differential_of_the_normal(surface, accuracy):
     on, _, _ = points_near(surface, 40)
     near = surface.near(on)
     h = 1e-5
     for i, e in enumerate(np.eye(3)):
         quotient = (surface.near(on + h * e).normal - surface.near(on - h * e).normal) / (2 * h)
-        np.testing.assert_allclose(near.weingarten[:, :, i], quotient, atol=1e-8)
+        np.testing.assert_allclose(near.weingarten[:, :, i], quotient, atol=accuracy)
     np.testing.assert_allclose(np.einsum("nij,nj->ni", near.weingarten, near.normal), 0, atol=1e-14)
+    transposed = np.swapaxes(near.weingarten, 1, 2)
+    np.testing.assert_allclose(near.weingarten, transposed, rtol=0, atol=1e-14)
 
 
 def test_mean_curvature_in_closed_form():
@@ -130,6 +139,19 @@ def test_the_curvature_of_a_level_set_is_right_far_from_the_origin(away, accurac
 
     level_set = LevelSet(d, gradient if given else None)
     np.testing.assert_allclose(level_set.mean_curvature(x), 2, rtol=accuracy)
+
+
+def test_a_given_gradient_makes_the_curvature_more_accurate():
+    def d(x):
+        return np.exp((x**2 / [4, 1, 0.49]).sum(axis=1)) - np.e
+
+    def gradient(x):
+        return 2 * x / [4, 1, 0.49] * np.exp((x**2 / [4, 1, 0.49]).sum(axis=1))[:, None]
+
+    x = Sphere().closest(np.random.default_rng(0).normal(size=(50, 3))) * [2, 1, 0.7]
+    exact = Ellipsoid((2, 1, 0.7)).mean_curvature(x)
+    errors = [abs(LevelSet(d, g).mean_curvature(x) / exact - 1).max() for g in (gradient, None)]
+    assert errors[0] < 1e-10 < errors[1] < 1e-8
 
 
 @pytest.mark.parametrize(

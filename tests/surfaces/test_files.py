@@ -111,6 +111,15 @@ def test_parts_of_a_scene_stand_in_their_places(folder):
         assert tri.volume == pytest.approx(2 * SPHERE.volume, rel=1e-6)
 
 
+def test_a_part_of_a_scene_is_turned_as_it_says():
+    """A quarter of a turn takes the first axis to the second."""
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    turn[2, 3] = 7
+    scene = trimesh.Scene()
+    scene.add_geometry(SPHERE.copy().apply_translation([5.0, 0, 0]), transform=turn)
+    np.testing.assert_allclose(read(scene)[0].vertices.mean(axis=0), [0, 5, 7], atol=1e-12)
+
+
 def test_units_are_kept_converted_or_missed(folder):
     path = written(folder, "sphere.glb")
     assert read(path)[0].units == "meters"

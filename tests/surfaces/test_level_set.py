@@ -60,7 +60,13 @@ def test_what_is_left_is_normal_and_the_given_gradient_is_used():
 
 
 @pytest.mark.parametrize(
-    "gradient", [lambda x: 2 * x, lambda x: -2 * x / [4, 1, 0.49], lambda x: 9 * x / [4, 1, 0.49]]
+    "gradient",
+    [
+        lambda x: 2 * x,
+        lambda x: -2 * x / [4, 1, 0.49],
+        lambda x: 9 * x / [4, 1, 0.49],
+        lambda x: 2 * x / [4, 1, 0.49] + 0.1 * ec.to_unit_sphere(np.cross(x, [0, 0, 1])),
+    ],
 )
 def test_a_gradient_of_another_function_is_refused(gradient):
     x = ec.to_unit_sphere(NEAR) * [2.05, 1.05, 0.73]
@@ -238,6 +244,8 @@ def test_a_level_set_may_return_one_array_each_time():
     x = 1.05 * torus_closest(NEAR)
     plain, same = ec.project_to_level_set(torus), ec.project_to_level_set(buffered)
     np.testing.assert_array_equal(same(x), plain(x))
+    for one, other in zip(LevelSet(buffered).near(x), LevelSet(torus).near(x), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 REFUSED = {

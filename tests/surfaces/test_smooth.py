@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 import esfem_core as ec
 from esfem_core.companion import bunny
-from esfem_core.surfaces import displaced
+from esfem_core.surfaces import derivative, displaced
 from esfem_core.surfaces.foot_points import FootPoints
-from esfem_core.surfaces.graphs import _neighbours
+from esfem_core.surfaces.graphs import _neighbours, fit_graphs
 from esfem_core.surfaces.smooth import _Flat
 
 TORUS = ec.exact_surfaces.Torus(1.0, 0.4)
@@ -158,6 +158,12 @@ def test_a_cube_stays_a_cube(subdivisions):
     assert ec.smooth(tri, 91).creases.shape == (0, 2)
 
 
+def test_points_of_a_cube_stay_also_beside_the_edges_of_its_triangles():
+    tri, b = trimesh.creation.box(), np.array([0.7, 0.2995, 5e-4])
+    points = np.vstack([np.roll(b, i) @ tri.triangles for i in range(3)])
+    assert_allclose(ec.smooth(tri)(points), points, rtol=0, atol=1e-14)
+
+
 def test_a_mean_normal_does_not_depend_on_how_a_side_is_cut_into_triangles():
     """At the corners of a cube, where its sides have one triangle or two."""
     box = trimesh.creation.box()
@@ -169,6 +175,9 @@ def test_a_mean_normal_does_not_depend_on_how_a_side_is_cut_into_triangles():
 def test_only_angles_above_the_limit_are_sharp():
     box = trimesh.creation.box()
     assert [len(ec.smooth(box, crease).creases) for crease in (89.9, 90, 180)] == [12, 0, 0]
+    # Sides of prisms meet at 51.4 and 45 degrees; without a limit it is 50.
+    prisms = (trimesh.creation.cylinder(1.0, 1.0, sections=n) for n in (7, 8))
+    assert [len(ec.smooth(prism).creases) for prism in prisms] == [3 * 7, 2 * 8]
 
 
 def test_what_a_smooth_surface_tells_of_itself_is_read_only():
@@ -353,6 +362,19 @@ def test_points_must_be_finite_and_of_three_coordinates():
         ValueError, match=r"coordinates up to 1, but one has the coordinate 1e\+200"
     ):
         surface([[0.0, 0.0, -1e200]])
+
+
+def test_the_slopes_of_graphs_are_the_derivatives_of_their_heights():
+    """(-f_u, -f_v, 1) is minus the gradient of f(u, v) - z."""
+    tri = torus(3)
+    x = np.array(tri.vertices)
+    graphs = fit_graphs(x, TORUS.normal(x), np.array(tri.faces))
+    i, near = np.arange(len(x)), x + np.array([0.2, 0.1, -0.1])
+    gradient = [
+        derivative(lambda s, e=e: graphs.heights(i, near + s * e), order=4, step=0.1)
+        for e in np.eye(3)
+    ]
+    assert_allclose(graphs.slopes(i, near), -np.transpose(gradient), atol=1e-11)
 
 
 def test_hubs_of_many_triangles_do_not_make_everything_a_neighbour_of_everything():
