@@ -72,8 +72,12 @@ def test_several_components_add_up():
 
 
 def test_a_seminorm_of_a_constant_is_zero_and_not_nan():
-    _, A = SPACE.mass_stiffness(SPACE.nodes)
-    assert 0 <= ec.errors.seminorm(A, np.full(len(SPACE.nodes), 7.0)) < 1e-5
+    """Rounding, which is of either sign, is that of the constant and not of the small products."""
+    for refinements in (1, 2, 3):
+        space = ec.SurfaceSpace(ec.sphere("icosahedron", refinements), 2, ec.to_unit_sphere)
+        _, A = space.mass_stiffness(space.nodes)
+        for c in (*np.linspace(0.1, 3, 40), 7.0):
+            assert 0 <= ec.errors.seminorm(A, np.full(len(space.nodes), c)) < 1e-5
 
 
 def test_only_rounding_makes_a_negative_square_zero():
@@ -223,6 +227,7 @@ class TestNormsOverARun:
         ("states", "message"),
         [
             ((RUN[0], RUN[1], RUN[3]), "got steps of 0.1 and 0.2"),
+            ((*RUN[:2], dataclasses.replace(RUN[2], t=0.201)), "got steps of 0.1 and 0.101"),
             (RUN[::-1], "got steps of -0.1 and -0.1"),
             ((RUN[1], RUN[1]), "got steps of 0 and 0"),
             (RUN[1:2], "states must hold two states or more, got one"),

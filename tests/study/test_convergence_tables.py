@@ -173,8 +173,11 @@ class TestAStudyAgainstAFineRun:
         assert max(e.max() for e in table.errors.values()) == 0
 
     def test_what_does_not_fit_is_refused(self):
-        with pytest.raises(ValueError, match=r"multiples of the step 0\.00625 of fine, got 0\.01"):
-            self.study(steps=[0.05, 0.01])
+        for bad in (0.01, 0.5 / 27):  # 2.96 steps
+            with pytest.raises(
+                ValueError, match=rf"multiples of the step 0\.00625 of fine, got {bad:g}"
+            ):
+                self.study(steps=[0.05, bad])
         with pytest.raises(ValueError, match=r"fine must end at t = 1, but ends at t = 0\.5"):
             self.study(end=1.0)
         with pytest.raises(ValueError, match="fine must hold at least 2"):
