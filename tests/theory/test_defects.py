@@ -36,6 +36,7 @@ from esfem_core.theory.defects import (
     spatial_defects,
     stretching,
 )
+from esfem_core.theory.forms import mass_rate
 from esfem_core.theory.stability import response
 
 EXPANDING = ec.problems.expanding_sphere()
@@ -155,13 +156,16 @@ def test_the_terms_of_the_proof_add_up(order):
 def test_the_terms_of_the_proof_are_those_that_they_are_called():
     space, problem, step, n = space_of(0), triaxial(), 1 / 20, 7
     now, *past = (exact_values(space, problem, (n - j) * step) for j in range(3))
-    far_x, _, far_u = (2 * one - other for one, other in zip(*past, strict=True))
+    far_x, far_v, far_u = (2 * one - other for one, other in zip(*past, strict=True))
     (Mt, At), (M, A) = space.mass_stiffness(far_x), space.mass_stiffness(now.x)
     in_u = temporal_terms_u(space, problem, 2, step, n)
     in_v = temporal_terms_v(space, problem, 2, step, n * step)
     alpha, beta = problem.law.alpha, problem.law.beta
     for found, term in (
         (in_u["A"], (At - A) @ now.u),
+        (in_u["(6.9)"], (Mt - M) @ rate_of_u(space, problem, n * step)),
+        (in_u["(6.16)"], mass_rate(space, far_x, far_v - now.v) @ now.u),
+        (in_u["(6.17)"], (mass_rate(space, far_x, now.v) - mass_rate(space, now.x, now.v)) @ now.u),
         (in_v["M"], (Mt - M) @ now.v),
         (in_v["alpha A"], alpha * (At - A) @ now.v),
         (in_v["beta A"], beta * (At - A) @ now.x),

@@ -3,7 +3,7 @@
 import naive
 import numpy as np
 import pytest
-from scipy.sparse import block_diag
+from scipy.sparse import block_diag, diags_array
 
 import esfem_core as ec
 from esfem_core.surfaces.exact_surfaces import (
@@ -141,6 +141,13 @@ def test_relative_norm_of_dense_and_large_matrices_agree(monkeypatch):
             np.linalg.solve(norm.toarray()[cut:, cut:], form.toarray()[cut:, cut:])
         )
         assert large == pytest.approx(np.abs(dense).max(), rel=1e-9)
+
+
+def test_the_relative_norm_is_the_largest_size_also_if_that_is_negative(monkeypatch):
+    form, norm = diags_array(np.linspace(-3, 1, 200)).tocsr(), diags_array(np.ones(200)).tocsr()
+    for dense in (1000, 100):
+        monkeypatch.setattr(forms, "DENSE", dense)
+        assert forms.relative_norm(form, norm) == pytest.approx(3, rel=1e-8)
 
 
 def test_relative_norm_is_attained_by_no_larger_product():

@@ -38,6 +38,10 @@ def test_the_errors_of_a_sphere_of_another_radius_are_known():
     assert found.normal < 1e-2
     assert found.velocity < 1e-12
     assert abs(found.u_l2 / np.sqrt(4 / 3 * np.pi * 4) - 1) < 1e-3  # lifts of x3 are x3 / 2
+    slope = np.sqrt(8 / 3 * np.pi * 4)  # of x3, over the sphere of radius 2
+    assert found.u_h1 == pytest.approx(slope / 2, rel=1e-3)
+    assert found.b == pytest.approx(slope, rel=1e-3)  # B is twice the projection
+    assert found.q == pytest.approx(6, rel=1e-2)  # the rate of 4 (1 + t)^2 - (1 + t)^2
 
 
 def test_functions_may_write_into_the_points_that_they_are_given():
@@ -72,6 +76,16 @@ def test_m_smooth_is_the_difference_of_the_integrals_over_both_surfaces():
     on_exact = geometry.lifted_norm(space, space.nodes, onto, space.evaluate(nodal)) ** 2
     on_discrete = nodal @ (space.mass(space.nodes) @ nodal)
     assert errors(space, 1.0).m_smooth == pytest.approx(abs(on_exact - on_discrete), rel=1e-10)
+
+
+def test_a_smooth_is_the_difference_of_the_energies_over_both_surfaces():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    x, nodal = space.nodes, linear(space.nodes)
+    onto = geometry.lift(space, x, Sphere())
+    lifted = geometry.apply(onto.gradient, space.gradient(x, nodal))
+    on_exact = geometry.lifted_norm(space, x, onto, lifted) ** 2
+    on_discrete = nodal @ (space.mass_stiffness(x)[1] @ nodal)
+    assert errors(space, 1.0).a_smooth == pytest.approx(abs(on_exact - on_discrete), rel=1e-8)
 
 
 @pytest.mark.parametrize("surface", [Torus(), Ellipsoid((1.4, 1.1, 0.8))])

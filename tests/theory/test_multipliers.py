@@ -259,6 +259,11 @@ class TestOtherPolynomials:
         gamma = multipliers.gammas_of([1, 0, -1], [1])
         np.testing.assert_allclose(gamma, np.array([1, 0, -1]) / math.sqrt(2), atol=1e-15)
 
+    def test_zero_of_order_three_at_minus_one(self):
+        """On the circle |(1 + z)^3|^2 is the real part of 20 + 30 z + 12 z^2 + 2 z^3."""
+        gamma = multipliers.gammas_of([20, 30, 12, 2], [1])
+        np.testing.assert_allclose(gamma, [1, 3, 3, 1], rtol=1e-12)
+
     @pytest.mark.parametrize(
         ("delta", "mu", "message"),
         [

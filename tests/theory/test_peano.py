@@ -84,3 +84,8 @@ def test_orders_and_degrees_out_of_range_are_refused(kernel):
 @pytest.mark.parametrize("kernel", [peano.bdf_kernel, peano.extrapolation_kernel])
 def test_integers_of_any_library_are_orders(kernel):
     np.testing.assert_array_equal(kernel(np.float64(3), np.int64(2)).c, kernel(3, 2).c)
+
+
+@pytest.mark.parametrize("kernel", [peano.bdf_kernel, peano.extrapolation_kernel])
+def test_a_kernel_is_known_between_its_values_only(kernel):
+    assert np.isnan(kernel(3)([-0.1, 3.1])).all()
