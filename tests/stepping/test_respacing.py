@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coupled import SPACE, coupled
+from scipy.interpolate import KroghInterpolator
 
 import esfem_core as ec
 
@@ -57,6 +58,16 @@ def test_where_nothing_is_conserved_nothing_becomes_so():
     start = ec.respaced(states[-2:], 0.005, order=2)
     assert [list(state.products) for state in start] == [[], []]
     np.testing.assert_array_equal(start[0]["H"], (states[-2]["H"] + states[-1]["H"]) / 2)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.01])
+def test_where_products_are_those_of_extrapolated_positions_the_values_are_interpolated(step):
+    """However near these positions are; and no step has computed a velocity."""
+    states = list(ec.evolve(SPACE, coupled(), 3, step, 3 * step, mass="extrapolated"))
+    made = ec.respaced(states, step / 2, order=3)[1]
+    u = KroghInterpolator([s.t for s in states], [s.u for s in states])(made.t)
+    np.testing.assert_allclose(made.u, u, rtol=1e-12)
+    assert made.v is None
 
 
 @pytest.fixture(scope="module")

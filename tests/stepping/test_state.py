@@ -300,3 +300,8 @@ def test_arrays_of_a_state_have_one_row_for_each_node():
         ec.State(0.0, X, X[:5])
     with pytest.raises(ValueError, match=r"^u must have shape \(66, \.\.\.\), got \(5, 3\)"):
         ec.State(0.0, X, u=X[:5])
+
+
+def test_the_mesh_size_is_that_of_the_present_surface():
+    state = ec.State(0.0, 2 * X, space=SPACE)
+    assert ec.measure(state).h == pytest.approx(2 * SPACE.mesh_size(X), rel=1e-14)
