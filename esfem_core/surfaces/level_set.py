@@ -37,6 +37,7 @@ ALIKE = 1e-3  # by so much of its size it may differ there; differences are good
 LARGEST = 1e150  # value and slope; their squares must be numbers, and
 SMALLEST = 1e-150  # those of slopes not be zero
 DIFFERENCE = 6e-6  # step of central differences, likewise: the cube root of rounding
+ON_IT = 1e-6  # of the values where points come from: where d is smaller, it is zero nearby
 STEP_OF_SINGLE = 1e-9  # relative to the coordinates: far below the rounding of single precision
 NEARBY = 1e-3  # step of the differences that show how d bends, relative to its reach
 SHORTEST_REACH = 1e-8  # relative to the coordinates: a shorter one drowns in their rounding
@@ -299,7 +300,8 @@ def _descend(d: Field, gradient: Field, start: Array) -> Array:
                     f"at {place}: multiply d by a large number"
                 )
             raise ValueError(
-                f"the gradient of d must not vanish at the points, but is zero at {place}"
+                f"the gradient of d must not vanish at the points, but is zero at {place}, "
+                f"{_why_no_slope(value[i], checked_values(d, start, (), 'd'))}"
             )
         step = -(value / square)[:, None] * g
         x[todo] += step
@@ -315,6 +317,16 @@ def _descend(d: Field, gradient: Field, start: Array) -> Array:
         "vanishes on the surface, or what is meshed is thinner there than triangles are long, or "
         f"terms of d cancel and leave rounding errors (its last values are up to "
         f"{np.abs(last).max():.2g})"
+    )
+
+
+def _why_no_slope(value: float, before: Array) -> str:
+    """What it means that d has no slope at a point: on the surface, or away from it."""
+    if abs(value) < ON_IT * np.abs(before).max():
+        return "on the surface: it has a tip there or meets itself, and no h is small enough"
+    return (
+        f"where d = {value:.3g}: no way leads from there to the surface, as from the middle of a "
+        "body or where d is constant; points must be nearer, for from_level_set h must be smaller"
     )
 
 

@@ -338,6 +338,6 @@ def _require_small_turns(x: Array, faces: Ints, gradient: Field, h: float, turn:
             f"{x[faces[worst, 0]].round(3).tolist()} it turns by {angle:.1f} degrees within a "
             f"triangle (allowed: {np.degrees(np.arccos(turn)):.1f}); angles go with h, so try "
             f"h = {0.8 * h * np.degrees(np.arccos(turn)) / angle:.2g}; where the surface has a "
-            "crease no h is small enough",
+            "crease or a tip, or meets itself, no h is small enough",
             x[faces[worst]],
         )

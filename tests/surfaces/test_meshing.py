@@ -121,6 +121,11 @@ def test_a_run_on_a_mesh_conserves_mass():
     assert np.ptp(amounts) < 1e-7 * amounts[0]
 
 
+def drops(x):
+    """Two, whose tips meet at the origin."""
+    return x[:, 0] ** 2 + x[:, 1] ** 2 - x[:, 2] ** 2 * (1 - x[:, 2] ** 2)
+
+
 REFUSED = {
     "no surface": ((unit_sphere, [[2, 2, 2], [3, 3, 3]], 0.2), "d is positive on the whole grid"),
     "all inside": (
@@ -178,6 +183,34 @@ REFUSED = {
     "d smallest": ((lambda x: 1e-320 * unit_sphere(x), BOX, 0.5), "gradient of d must not vanish"),
     "box large": ((unit_sphere, 1e80 * np.array(BOX), 1e80), r"bounds must be up to 1e\+35"),
     "box small": ((unit_sphere, 1e-80 * np.array(BOX), 1e-80), "1e-35 or more apart"),
+    "d constant within h": (
+        (lambda x: np.linalg.norm(np.maximum(np.abs(x) - 0.8, 0), axis=1) - 0.1, BOX, 0.3),
+        r"is zero at \[.*\], where d = -0\.1: no way leads .* for from_level_set h must be smaller",
+    ),
+    "spheres that touch": (
+        (
+            lambda x: np.linalg.norm(np.abs(x) - [0, 0, 0.6], axis=1) - 0.6,
+            [[-1.5] * 3, [1.5] * 3],
+            0.15,
+        ),
+        "on the surface: it has a tip there or meets itself, and no h is small enough",
+    ),
+    "a point where drops meet": (
+        (drops, [[-1.6] * 3, [1.6] * 3], 0.16),
+        "gradient vanishes: the surface has a tip there or meets itself, and no h is small",
+    ),
+    "a point where drops meet on a grid": (
+        (drops, [[-1.6] * 3, [1.6] * 3], 0.2),
+        "2 components, on one of half .* where the surface touches or crosses itself",
+    ),
+    "a tip": (
+        (
+            lambda x: np.hypot(np.hypot(x[:, 0], x[:, 1]) + 0.6, x[:, 2]) - 1.05,
+            [[-1.2] * 3, [1.2] * 3],
+            0.15,
+        ),
+        "turns by .* where the surface has a crease or a tip, or meets itself, no h is small",
+    ),
     "edges": ((lambda x: np.abs(x).sum(axis=1) - 1, BOX, 0.2), "the surface has a crease there"),
 }
 
