@@ -233,8 +233,10 @@ class Guard:
             )
             if largest > self._growth * start:
                 raise FloatingPointError(
-                    f"{text} (allowed: growth = {self._growth:g} times; growth=inf lets it go on, "
-                    "such as from values that are zero but for rounding)"
+                    f"{text}, or the surface shrinks to a point, which makes grow what is "
+                    f"conserved: it is {np.ptp(x, axis=0).max():.2g} across (allowed: growth = "
+                    f"{self._growth:g} times; growth=inf lets it go on, such as from values that "
+                    "are zero but for rounding)"
                 )
             self._warn_once(name, text)
 

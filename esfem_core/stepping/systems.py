@@ -116,7 +116,7 @@ class Systems:
                 w = real_array("what the solver returns", w, b.shape)
                 require_small_residual(K, b, w)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
-            raise np.linalg.LinAlgError(f"{_described(kind)}: {error}") from error
+            raise np.linalg.LinAlgError(f"{_described(kind)}: {error}{_in_a_run(error)}") from error
         return w
 
     def solve_again(self, kind: str, K: csr_array, b: Array) -> Array:
@@ -160,6 +160,16 @@ def _described(kind: str) -> str:
         return f"the linear system of {kind}"
     which = ("first", "second", "third")[int(number) - 1] if int(number) < 4 else f"{number}th"
     return f"the linear system of {kind}, the {which} that the law solves in a step"
+
+
+def _in_a_run(error: Exception) -> str:
+    """What it means in a run that a matrix takes constants to zero."""
+    if "takes constants to zero" not in str(error):
+        return ""
+    return (
+        "; so it is if the surface has shrunk to a point within the step, or if a diffusivity "
+        "times the step, or alpha, is far beyond the square of its size"
+    )
 
 
 def _checked_solver(solver: Solver) -> Solver:

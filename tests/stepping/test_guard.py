@@ -521,7 +521,11 @@ def test_a_reaction_that_is_too_fast_for_its_step_is_named():
 def test_a_sphere_does_not_shrink_through_a_point(order, step):
     """It is gone at t = 0.27. Order 1 creeps up to the point, where u has grown too large."""
     problem, states = ec.Problem(1.0, alpha=0.01, beta=1), []
-    message = "u has grown to" if order == 1 else "the surface is inside out .* shrunk to a point"
+    message = "the surface is inside out .* shrunk to a point"
+    if order == 1:
+        message = (
+            r"u has grown to .*, or the surface shrinks to a point, .* it is \d\.\de-0\d across"
+        )
     with pytest.raises(ec.EvolutionError, match=STEP + message) as error:
         states.extend(ec.evolve(SPACE, problem, order, step, 0.6, start="euler"))
     assert 0.25 < error.value.t < 0.6

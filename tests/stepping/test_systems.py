@@ -219,3 +219,14 @@ def test_a_system_that_is_not_solved_is_named(solver, problem, system):
     message = rf"the linear system of {system}: (A must be|no |the numbers of A)"
     with pytest.raises(ec.EvolutionError, match=message):
         list(run)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("solver", ["lagged", "direct"])
+def test_a_surface_that_shrinks_to_a_point_within_a_step_is_thought_of(solver):
+    """Its matrix for u is a stiffness matrix but for rounding."""
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    run = ec.evolve(space, ec.Problem(1.0, beta=1e12), 1, 0.05, 0.1, solver=solver)
+    message = "system of u: no solution: .* so it is if the surface has shrunk to a point within"
+    with pytest.raises(ec.EvolutionError, match=message):
+        list(run)
