@@ -183,26 +183,24 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
         )
     n = len(at.x)
     if at.space.degree == 1:
-        tri = trimesh.Trimesh(at.x, at.space.cells, process=False)
-        _check_curves(tri)
-        curved = SurfaceSpace(tri, 2, smooth(tri))
+        curved = _curved(trimesh.Trimesh(at.x, at.space.cells, process=False))
         at = Surface(curved, curved.nodes)
     normal = smoothed(at, at.normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return normal[:n], smoothed_divergence(at, normal)[:n]
 
 
-def _check_curves(tri: trimesh.Trimesh) -> None:
-    """Refuse triangles that are too flat for a smooth surface, tried where some are flat."""
+def _curved(tri: trimesh.Trimesh) -> SurfaceSpace:
+    """Elements on the smooth surface; triangles are refused that are too flat for one."""
     edges = np.roll(tri.triangles, -1, axis=1) - tri.triangles
     double_area = np.linalg.norm(normals_of(tri.vertices, tri.faces), axis=1)
     shape = double_area / (edges**2).sum((1, 2))
     t = int(np.argmin(shape))
-    if shape[t] > FLAT:
-        return
     try:
-        SurfaceSpace(tri, 2, smooth(tri))
+        return SurfaceSpace(tri, 2, smooth(tri))
     except ValueError as error:
+        if shape[t] > FLAT:
+            raise
         raise ValueError(
             "the mean curvature at the start cannot be had from triangles so flat as triangle "
             f"{t}, near {tri.triangles[t, 0].round(6).tolist()}: give the law normal= and "

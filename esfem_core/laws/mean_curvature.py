@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 from esfem_core.checks import Array, ReadOnly, finite_array, frozen, function, number, real_array
 from esfem_core.elements import (
     Surface,
+    SurfaceSpace,
     nodal_average,
     normal_and_curvature,
     smoothed_divergence,
@@ -100,6 +101,7 @@ class MeanCurvature(ReadOnly, Law):
     normal: Initial | None = None
     curvature: Initial | None = None
     _known: Callable[[Surface], Array | None] = field(init=False, repr=False)
+    _first: Callable[[SurfaceSpace], tuple[Array, Array]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "beta", number("beta", self.beta, above=0))
@@ -113,6 +115,7 @@ class MeanCurvature(ReadOnly, Law):
                     raise ValueError(f"{name} must hold a value for each node, got none")
                 object.__setattr__(self, name, frozen(own))
         object.__setattr__(self, "_known", Once(self._forcing))
+        object.__setattr__(self, "_first", Once(_of_nodes))
 
     @property
     def species(self) -> Mapping[str, Species]:
@@ -138,7 +141,7 @@ class MeanCurvature(ReadOnly, Law):
         if H is not None:
             _check_sign(at, H)
         if normal is None:
-            normal, own = normal_and_curvature(at)
+            normal, own = self._own(at)
         elif H is None:
             own = smoothed_divergence(at, normal)
         if H is not None:
@@ -159,6 +162,15 @@ class MeanCurvature(ReadOnly, Law):
     def forcing(self, at: Surface) -> Array | None:
         """Nodal values of g, computed once for each surface; None if g is zero."""
         return self._known(at)
+
+    def _own(self, at: Surface) -> tuple[Array, Array]:
+        """Normal and curvature of the mesh; those of a space's own nodes are computed once.
+
+        A run asks for them when it is checked and when it begins.
+        """
+        if np.array_equal(at.x, at.space.nodes):
+            return self._first(at.space)
+        return normal_and_curvature(at)
 
     def _normal_source(self, at: Surface) -> Array:
         """Beta |A|^2 nu - grad g."""
@@ -184,6 +196,11 @@ class MeanCurvature(ReadOnly, Law):
             shape = (len(at.x),)
             return finite_nodal("g(x, t)", np.full(shape, g) if g.ndim == 0 else g, shape)
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
+
+
+def _of_nodes(space: SurfaceSpace) -> tuple[Array, Array]:
+    normal, H = normal_and_curvature(Surface(space, space.nodes))
+    return frozen(normal), frozen(H)
 
 
 def _check_outward(at: Surface, normal: Array) -> None:

@@ -10,6 +10,7 @@ from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
 from esfem_core.surfaces.faults import FLATTEST, Fault, check_coordinates, fault
 from esfem_core.surfaces.files import curved_elements, read_mesh
+from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
 from esfem_core.surfaces.meshing import MeshingError, from_level_set
 from esfem_core.surfaces.orientation import (
@@ -34,6 +35,7 @@ __all__ = [
     "Elements",
     "Evened",
     "Fault",
+    "FootPoints",
     "Guide",
     "MeshingError",
     "Quality",

@@ -4,6 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+import trimesh
+from numpy.testing import assert_allclose
 from temporal import fine_run, temporal_orders
 
 import esfem_core as ec
@@ -374,3 +376,21 @@ def test_arguments_without_defaults_tell_functions_of_points_from_those_of_a_sur
     assert ec.laws.MeanCurvature(g=scaled).forcing(at) == pytest.approx(6.0)
     of_surface = ec.laws.MeanCurvature(g=lambda at, scale=2.0: scale * at.t)
     assert of_surface.forcing(at) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("thin", [False, True])
+def test_normal_and_curvature_of_a_mesh_are_computed_once_for_a_run(thin, monkeypatch):
+    calls = []
+
+    def counted(tri):
+        calls.append(tri)
+        return ec.smooth(tri)
+
+    monkeypatch.setattr("esfem_core.elements.recovery.smooth", counted)
+    tri = trimesh.creation.uv_sphere(1, count=[6, 200]) if thin else ec.sphere("icosahedron", 2)
+    space, law = ec.SurfaceSpace(tri), ec.laws.MeanCurvature(beta=1e-6)
+    state = next(ec.evolve(space, ec.Problem(law=law), 1, 1e-4, 2e-4))
+    assert len(calls) == 1
+    moved = law.initial(ec.Surface(space, 2 * space.nodes))  # another surface, not the nodes'
+    assert len(calls) == 2
+    assert_allclose(moved["H"], state["H"] / 2, rtol=1e-6)

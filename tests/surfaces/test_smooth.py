@@ -7,7 +7,7 @@ import level_sets
 import numpy as np
 import pytest
 import trimesh
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import esfem_core as ec
 from esfem_core.companion import bunny
@@ -384,3 +384,21 @@ def test_hubs_of_many_triangles_do_not_make_everything_a_neighbour_of_everything
     ball = trimesh.creation.uv_sphere(1, count=[24, 110])  # its poles have 220 triangles
     points = ec.smooth(ball)(ball.triangles_center)
     assert_allclose(np.linalg.norm(points, axis=1), 1, atol=1e-4)
+
+
+def test_foot_points_on_a_hub_are_the_closest_of_few_triangles():
+    n = 300
+    corners = np.array(trimesh.creation.cylinder(radius=1, height=2, sections=n).triangles)
+    points = ((corners + np.roll(corners, 1, axis=1)) / 2).reshape(-1, 3)
+    points += 0.02 * np.random.default_rng(2).normal(size=points.shape)
+    foot = FootPoints(corners)
+    bound = foot.foot(points, foot.near(points))[1]
+    pairs = sum(len(point) for point, _ in foot.pairs(points, bound))
+    assert pairs < 40 * len(points)  # and not n
+    some = points[::30]
+    triangle, b = foot(some)
+    every = np.tile(np.arange(len(corners)), len(some))
+    local, distance = foot.foot(np.repeat(some, len(corners), axis=0), every)
+    best = distance.reshape(len(some), -1).argmin(axis=1)
+    assert_array_equal(triangle, best)
+    assert_array_equal(b, local.reshape(len(some), -1, 3)[np.arange(len(some)), best])
