@@ -246,12 +246,22 @@ def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:
 
 
 def _is_cut_off(line: bytes) -> bool:
-    """Whether a last line is the beginning of a row, or zeros, as after a failure of power."""
+    """Whether a last line is the beginning of a row, or zeros, as after a failure of power.
+
+    Of a row that something else has spoilt, such as lost ends of lines, this is not said.
+    """
+    found = line.rstrip(b"\0")
+    if not found.startswith(BEGINNING):
+        return BEGINNING.startswith(found)
+    text = found.decode(errors="replace")
     try:
-        json.loads(line)
-    except ValueError:
-        return line.startswith(BEGINNING) or BEGINNING.startswith(line) or not line.strip(b"\0")
-    return False
+        json.loads(text)
+    except json.JSONDecodeError as error:
+        at_end = error.pos > len(text) - len("-Infinity") and error.msg != "Extra data"
+        return at_end or error.msg.startswith("Unterminated string")
+    except ValueError:  # an integer that is too long
+        return False
+    return found != line
 
 
 def _row(line: bytes) -> Row:

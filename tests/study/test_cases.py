@@ -329,8 +329,18 @@ def test_a_last_line_without_end_loses_no_row(tmp_path, end):
     assert [json.loads(line)["parameters"]["size"] for line in lines] == [1, 2]
 
 
+def test_a_row_is_cut_off_wherever_it_ends():
+    values = {"x": [-0.5, 1e-300, 10**30], "no": [np.nan, -np.inf, np.inf, None, True, False]}
+    line = rows._line(rows.Row({"size": 1}, values | {"text": 'ä\\"\n'}, {}))[:-1]
+    assert all(rows._is_cut_off(line[:size]) for size in range(len(line)))
+    assert all(rows._is_cut_off(line[:size] + b"\0\0") for size in range(len(line) + 1))
+    assert not rows._is_cut_off(line)
+
+
 # One line without an end, which is no beginning of a row: what another program has written.
 FOREIGN = ["a, b, c", f"{GOOD}\nremarks", '{"a": 1}', GOOD.replace("results", "other"), "3"]
+# Rows that have lost their ends of lines, or a comma, or were followed by something.
+FOREIGN += [f"{GOOD}\r{GOOD}\r", GOOD + GOOD, f"{GOOD}\n{GOOD.replace(', ', ' ', 1)}", f"{GOOD}x"]
 
 
 @pytest.mark.parametrize(
@@ -338,10 +348,10 @@ FOREIGN = ["a, b, c", f"{GOOD}\nremarks", '{"a": 1}', GOOD.replace("results", "o
 )
 def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, text):
     path = tmp_path / "power.jsonl"
-    path.write_text(text)
+    path.write_bytes(text.encode())
     with pytest.raises(ValueError, match=r"power\.jsonl is not a file of results: line \d: "):
         study(tmp_path, grid(order=[1], step=[1]))
-    assert path.read_text() == text
+    assert path.read_bytes() == text.encode()
 
 
 def test_the_last_row_of_a_case_counts(tmp_path):
