@@ -9,8 +9,10 @@ import hashlib
 import json
 import os
 import shlex
+import stat
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -344,8 +346,7 @@ class Store:
             if old and old.code == row.code:
                 return deepcopy(old)
             if old:
-                rows = self._rows | {key: row}
-                write_whole(self.path, b"".join(map(_line, rows.values())))
+                self._replace(self._rows | {key: row})
             else:
                 self._append(_line(row))
         return row
@@ -378,6 +379,13 @@ class Store:
         before = self._rows if known else {}
         self._rows = before | {case_key(row.parameters): row for row in rows}
         self._read = data[: known + size]
+
+    def _replace(self, rows: Mapping[str, Row]) -> None:
+        """Write the file anew; who could read it can read it still, and nobody else."""
+        mode = stat.S_IMODE(self.path.stat().st_mode)
+        write_whole(self.path, b"".join(map(_line, rows.values())))
+        with suppress(OSError):  # a file system without permissions
+            self.path.chmod(mode)
 
     def _append(self, line: bytes) -> None:
         """Add a line, whole or not at all, after the last row."""

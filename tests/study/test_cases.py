@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import json
+import os
 import re
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
@@ -156,6 +157,17 @@ def test_rows_of_other_code_are_renewed_in_their_place_or_kept(tmp_path, monkeyp
     rows = read(tmp_path / "power.jsonl")
     assert [row.parameters for row in rows] == cases
     assert [row.results["error"] for row in rows] == [1.1, 1.1, 0.35]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other permissions")
+@pytest.mark.parametrize("mode", [0o640, 0o600, 0o666])
+def test_a_file_of_which_a_row_is_renewed_keeps_its_permissions(tmp_path, monkeypatch, mode):
+    cases, path = grid(order=(1,), step=(1.0, 0.5)), tmp_path / "power.jsonl"
+    study(tmp_path, cases)
+    path.chmod(mode)
+    monkeypatch.setitem(globals(), "FACTOR", 2)
+    study(tmp_path, cases)
+    assert path.stat().st_mode & 0o777 == mode
 
 
 def test_a_row_that_cannot_be_renewed_stays(tmp_path):
