@@ -22,6 +22,7 @@ import numpy as np
 
 from esfem_core.checks import items, path_of, shown
 from esfem_core.stepping import write_whole
+from esfem_core.stepping.files import FULL
 from esfem_core.study.locks import FileLocks
 
 __all__ = [
@@ -184,8 +185,8 @@ def read(path: str | Path) -> list[Row]:
     TypeError
         If it is no path.
     ValueError
-        If it is a folder, or a line is not a row. (A last line that is the beginning of one is what
-        a killed process leaves; it is not read.)
+        If it is a folder, or a line is not a row. (A line that is the beginning of one is what a
+        killed process leaves; it is not read.)
 
     Examples
     --------
@@ -243,12 +244,14 @@ def _parse(path: Path, data: bytes) -> tuple[list[Row], int]:
             if line.strip():
                 rows.append(_row(line))
         except ValueError as error:
+            if line.startswith(BEGINNING) and _is_cut_off(line):  # others were put after it
+                continue
             raise ValueError(f"{path} is not a file of results: line {number}: {error}") from None
     return rows, len(data) - left_over
 
 
 def _is_cut_off(line: bytes) -> bool:
-    """Whether a last line is the beginning of a row, or zeros, as after a failure of power.
+    """Whether a line is the beginning of a row, or zeros, as after a failure of power.
 
     Of a row that something else has spoilt, such as lost ends of lines, this is not said.
     """
@@ -295,7 +298,7 @@ class Store:
     ValueError
         If it is not a file of rows.
     OSError
-        If nothing can be written into its folder.
+        If it cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -304,6 +307,7 @@ class Store:
         self._seen: tuple[int, ...] = ()
         self._read = b""  # that part of the file of which the rows are known
         self._claimed: set[str] = set()
+        self._began = False
         self._refresh()
         self._locks = FileLocks(self.path.with_name(f".{self.path.name}.lock"))
 
@@ -313,10 +317,19 @@ class Store:
         return deepcopy(self._rows.get(case_key(parameters)))
 
     def claim(self, parameters: Parameters) -> bool:
-        """Reserve a case; False if someone else, or this process, computes it already."""
+        """Reserve a case; False if someone else, or this process, computes it already.
+
+        Raises
+        ------
+        OSError
+            If nothing can be written into the folder, or, at the first case, into the file.
+        """
         key = case_key(parameters)
         if key in self._claimed or not self._locks.take(_number(key)):
             return False
+        if not self._began and self.path.exists():
+            self.path.open("ab").close()
+        self._began = True
         self._claimed.add(key)
         return True
 
@@ -432,7 +445,14 @@ def set_aside(unsaved: list[tuple[Store, Row]], reason: Exception) -> UnsavedRow
             (folder / store.path.name).write_bytes(b"\n" + lines)
             paths = (shlex.quote(str(path)) for path in (folder / store.path.name, store.path))
             advice.append("cat {} >> {}".format(*paths))
-        text += f". They are kept; make room, then: {'; '.join(advice)}"
+        text += f". They are kept; {_help(reason)}, then: {'; '.join(advice)}"
     except OSError:
         text += ", nowhere; this error has them in its `rows`"
     return UnsavedRowsError(text, rows)
+
+
+def _help(reason: Exception) -> str:
+    """What must be done before rows can be written again."""
+    if isinstance(reason, OSError):
+        return "make room" if reason.errno in FULL else "see that the file can be written"
+    return "put the file in order"

@@ -1,10 +1,12 @@
 """Studies of many cases, computed in this process: what is kept, found, renewed and refused."""
 
+import errno
 import functools
 import hashlib
 import json
 import os
 import re
+import subprocess
 from concurrent.futures import ThreadPoolExecutor, wait
 from enum import Enum
 from pathlib import Path
@@ -324,6 +326,7 @@ def test_a_path_is_a_path():
 
 
 GOOD = '{"parameters": {"size": 1}, "results": {"size": 1}, "provenance": {"esfem_core": "0"}}'
+ROW = rows.Row({"size": 2}, {"size": 2}, {"esfem_core": "0"})
 
 
 @pytest.mark.parametrize(
@@ -347,6 +350,13 @@ def test_a_row_is_cut_off_wherever_it_ends():
     assert all(rows._is_cut_off(line[:size]) for size in range(len(line)))
     assert all(rows._is_cut_off(line[:size] + b"\0\0") for size in range(len(line) + 1))
     assert not rows._is_cut_off(line)
+
+
+def test_a_line_that_a_killed_process_has_left_hides_none_that_were_put_after_it(tmp_path):
+    path = tmp_path / "a.jsonl"
+    other = GOOD.replace('{"size": 1}', '{"size": 2}')
+    path.write_text(f"{GOOD[:40]}\n\n{GOOD}\n{other[:-3]}\n{other}\n")
+    assert [row.parameters["size"] for row in read(path)] == [1, 2]
 
 
 # One line without an end, which is no beginning of a row: what another program has written.
@@ -551,6 +561,57 @@ def test_a_folder_that_is_renamed_in_mid_study_costs_no_row(tmp_path):
     results, _ = study(folder, grid(size=(1, 2, 3)), compute)
     assert [row.results["size"] for row in results.rows] == [1, 2, 3]
     assert [len(read(path / "compute.jsonl")) for path in (other, folder)] == [1, 2]
+
+
+@pytest.fixture
+def read_only(tmp_path):
+    """A file of one row into which nobody may write."""
+    study(tmp_path, grid(size=[1]), lambda size: {"size": size}, name="a", stale="keep")
+    path = tmp_path / "a.jsonl"
+    path.chmod(0o444)
+    if os.access(path, os.W_OK):
+        pytest.skip("who runs the tests may do everything")
+    yield path
+    path.chmod(0o644)
+
+
+def test_a_file_that_cannot_be_written_is_told_before_a_case_is_computed(read_only):
+    def study_of(*sizes):
+        return study(
+            read_only.parent,
+            grid(size=sizes),
+            lambda size: pytest.fail("began"),
+            name="a",
+            stale="keep",
+        )
+
+    assert len(study_of(1)[0].rows) == 1  # what is there can be looked at
+    with pytest.raises(PermissionError, match=r"a\.jsonl"):
+        study_of(1, 2)
+
+
+@pytest.mark.parametrize(
+    ("reason", "advice"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "make room, then: cat "),
+        (PermissionError(errno.EACCES, "Denied"), "see that the file can be written, then: cat "),
+        (ValueError("line 3"), "put the file in order, then: cat "),
+    ],
+)
+def test_the_advice_to_rows_that_are_set_aside_is_that_for_the_reason(tmp_path, reason, advice):
+    store = rows.Store(tmp_path / "a.jsonl")
+    assert f". They are kept; {advice}" in str(rows.set_aside([(store, ROW)], reason))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the advice is for a shell")
+def test_rows_that_were_set_aside_are_brought_back_behind_a_line_that_is_cut_off(tmp_path):
+    path = tmp_path / "a.jsonl"
+    path.write_text(f"{GOOD}\n{GOOD[:-30]}")
+    told = str(rows.set_aside([(rows.Store(path), ROW)], PermissionError(errno.EACCES, "Denied")))
+    subprocess.run(told.partition("then: ")[2], shell=True, check=True)
+    assert [row.parameters["size"] for row in read(path)] == [1, 2]
+    study(tmp_path, grid(size=[2, 3]), lambda size: {"size": size}, name="a", stale="keep")
+    assert [row.parameters["size"] for row in read(path)] == [1, 2, 3]
 
 
 def spoilt(tmp_path):
