@@ -89,9 +89,10 @@ def transportable(error: BaseException) -> Exception:
         found = pickle.loads(pickle.dumps(error))
         if type(found) is not type(error) or str(found) != str(error):
             raise TypeError
-    except Exception:
+        found.add_note(where)
+    except Exception:  # one that cannot be sent, or takes no note
         found = RuntimeError(f"{type(error).__name__}: {text}")
-    found.add_note(where)
+        found.add_note(where)
     return found  # type: ignore[no-any-return]
 
 

@@ -10,6 +10,7 @@ import time
 import warnings
 from asyncio import CancelledError
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -330,6 +331,33 @@ def test_errors_that_cannot_be_sent_are_told():
     found = transportable(SilentError())
     assert (type(found), str(found)) == (RuntimeError, "SilentError: <no text>")
     assert "SilentError" in found.__notes__[0]
+
+
+@dataclass(frozen=True)
+class FrozenError(Exception):
+    n: int = 0
+
+
+class NotedError(Exception):
+    def add_note(self, note):
+        raise TypeError("no notes")
+
+
+def raising(kind):
+    if kind:
+        raise {"frozen": FrozenError, "noted": NotedError}[kind]()
+    return {"y": 1}
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_errors_that_take_no_note_end_no_other_case(tmp_path, workers):
+    cases = [{"kind": kind} for kind in ("frozen", "noted", "")]
+    with pytest.warns(StudyWarning, match="2 of the cases failed"):
+        results = run(cases, raising, tmp_path, workers=workers, progress=False)
+    assert [row.parameters["kind"] for row in results.rows] == [""]
+    told = [str(failure.error).partition(":")[0] for failure in results.failures]
+    assert told == ["FrozenError", "NotedError"]
+    assert all("in raising" in failure.error.__notes__[0] for failure in results.failures)
 
 
 @pytest.mark.parametrize("kind", [CancelledError, GeneratorExit, SystemExit])
