@@ -32,6 +32,9 @@ __all__ = ["Processes", "WorkerLostError", "pickled", "transportable"]
 THREADS = ("OMP_NUM_THREADS", *BLAS_THREADS, "NUMEXPR_NUM_THREADS")
 """Variables that the libraries under NumPy and SciPy read when they are loaded."""
 
+GROUPS = hasattr(os, "setpgid")
+"""Whether processes have groups that can be ended as a whole."""
+
 _starting = threading.Lock()
 
 
@@ -155,7 +158,7 @@ class Processes(Executor):
             self._closed = True
             living = list(self._living)
         for process in living:
-            process.kill()
+            _kill(process)
         self.shutdown(cancel_futures=True)
 
     def _serve(self) -> None:
@@ -235,7 +238,7 @@ class _Worker:
         """Let it go."""
         self.pipe.close()
         self.process.join(5)
-        self.process.kill()
+        _kill(self.process)
         self.process.join()
 
     def _how_it_ended(self) -> str:
@@ -273,9 +276,20 @@ def _environment(threads: int | None) -> Iterator[None]:
                     os.environ[name] = value
 
 
+def _kill(process: multiprocessing.process.BaseProcess) -> None:
+    """End a process, and where there are groups of them, those that it has started."""
+    if GROUPS and process.pid:
+        with suppress(OSError):  # it has ended, or not begun
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+
+
 def _work(pipe: Connection) -> None:
     """Compute what comes through a pipe, until nothing more can come."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who starts us also ends us
+    multiprocessing.current_process().daemon = False  # which could have no processes of its own
+    if GROUPS:
+        os.setpgid(0, 0)  # with all that a case starts
     threading.Thread(target=_end_with_parent, daemon=True).start()
     own = os.getpid()
     with suppress(EOFError, OSError):
@@ -296,4 +310,6 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent:
         parent.join()
+        if GROUPS:
+            os.killpg(0, signal.SIGKILL)
         os._exit(1)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from asyncio import CancelledError
@@ -385,6 +386,58 @@ def test_a_pool_ends_when_it_is_shut_down():
     with pytest.raises(RuntimeError, match="cannot schedule new futures after shutdown"):
         pool.submit(abs, 1)
     assert issubclass(WorkerLostError, RuntimeError)
+
+
+def doubled(x):
+    return {"y": 2 * x}
+
+
+def pooled(method):
+    if method == "study":
+        with tempfile.TemporaryDirectory() as folder:
+            [row] = run([{"x": 1}], doubled, folder, workers=1, progress=False).rows
+        return row.results
+    with ProcessPoolExecutor(1, multiprocessing.get_context(method)) as pool:
+        return pool.submit(doubled, 1).result()
+
+
+def test_a_case_may_have_processes_of_its_own(tmp_path):
+    results = run(grid(method=("spawn", "study")), pooled, tmp_path, workers=1, progress=False)
+    assert [row.results for row in results.rows] == [{"y": 2}] * 2, results
+
+
+def starting(folder, size):
+    """Start a program and a process that would go on for long."""
+    subprocess.Popen(["sleep", "77"])
+    multiprocessing.get_context("spawn").Process(target=time.sleep, args=(77,)).start()
+    (Path(folder) / f"started{size}").touch()
+    if size == 0:
+        os._exit(3)
+    time.sleep(77)
+
+
+def starting_study(folder):
+    cases = [{"folder": str(folder), "size": size} for size in (0, 1)]
+    run(cases, starting, folder, workers=1, progress=False)
+
+
+@posix
+def test_a_killed_study_leaves_none_of_what_its_cases_have_started(tmp_path):
+    first = started(starting_study, tmp_path)
+    until((tmp_path / "started1").exists)
+    assert living(first.pid) >= 4
+    first.kill()
+    first.join()
+    until(lambda: living(first.pid) == 0, 20)
+
+
+@posix
+def test_a_case_whose_process_dies_leaves_none_of_what_it_has_started(tmp_path):
+    study = ec.study.Experiment("a", "", starting, [[{"folder": str(tmp_path), "size": 0}]])
+    [outcome] = ec.study.outcomes([study], tmp_path, workers=1)
+    assert isinstance(outcome.error, WorkerLostError)
+    listed = subprocess.run(["ps", "-A", "-o", "args="], capture_output=True, text=True, check=True)
+    assert "sleep 77" not in listed.stdout.splitlines()
 
 
 def forking(*, i):
