@@ -1,6 +1,5 @@
 """Closest points of a discrete surface, and values of finite element functions there."""
 
-from collections.abc import Iterator
 from math import factorial
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -11,12 +10,15 @@ from scipy.spatial import cKDTree
 from esfem_core.checks import Array, Ints, finite_array, shown
 from esfem_core.elements.lagrange import node_indices, tabulate
 from esfem_core.elements.numbering import flat_triangles
-from esfem_core.surfaces import Balls
+from esfem_core.surfaces import FootPoints
 
 __all__ = ["ClosestPoints", "closest_points", "probe"]
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
+CHUNK = 50_000  # pairs that are treated at once
+THIN = 1e-6  # doubled area over the longest side squared: a normal has an error of 1e-10
+TOLERANCE = 1e-8  # of distances to triangles, and of what is taken as the same point
 FAR = 1e7  # sizes of the surface; farther away, rounding of distances hides closest points
 
 
@@ -68,9 +70,10 @@ def closest_points(space: SpaceLike, x: ArrayLike, points: ArrayLike) -> Closest
 
     On each element that could hold the closest point, ``|Phi(xi) - p|^2`` is minimised over the
     reference triangle by Newton's method. No element is left out that could be closer: each is
-    divided into k² pieces, and a piece lies in the convex hull of its Bézier points. In each
-    piece that remains four descents start, at its corners and its centre. They find its closest
-    point, unless it is crumpled so much that the distance has further minima between them.
+    divided into k² pieces, and a piece lies in the convex hull of its Bézier points, and near the
+    triangle of its corners. In each piece that remains four descents start, at its corners and its
+    centre. They find its closest point, unless it is crumpled so much that the distance has further
+    minima between them. At a hub, where n elements meet, its own node is compared with all n.
 
     Parameters
     ----------
@@ -123,7 +126,9 @@ def closest_points(space: SpaceLike, x: ArrayLike, points: ArrayLike) -> Closest
     nearest = np.asarray(cKDTree(pieces.centre).query(scaled)[1], dtype=np.int64)
     rows = [descend(np.arange(len(scaled)), nearest)]
     bound = rows[0][3].reshape(-1, 4).min(axis=1)
-    rows += [descend(*pair) for pair in _candidates(pieces, scaled, bound)]
+    pairs = _candidates(pieces, scaled, bound)
+    for part in np.array_split(np.arange(len(pairs[0])), len(pairs[0]) // CHUNK + 1):
+        rows.append(descend(pairs[0][part], pairs[1][part]))
     point, piece, local, distance = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     found = np.einsum("na,nai->ni", tabulate(degree, local).values, nodes[piece // per_cell])
 
@@ -188,6 +193,7 @@ class _Pieces(NamedTuple):
     centre: Array  # (k² T, 3), on the surface
     bezier: Array  # (k² T, (k+1)(k+2)/2, 3), Bézier points as seen from there
     radius: Array  # (k² T,), of the ball around the centre that holds them
+    bend: Array  # (k² T,), how far they are from the triangle of its corners, at most
 
 
 def _divide(degree: int, nodes: Array) -> _Pieces:
@@ -204,20 +210,54 @@ def _divide(degree: int, nodes: Array) -> _Pieces:
     at_centre = tabulate(degree, centres).values
     relative = ((bezier - at_centre[:, None]) @ nodes[:, None]).reshape(-1, len(lattice), 3)
     radius = np.linalg.norm(relative, axis=2).max(axis=1)
+    bend = np.linalg.norm(relative - lattice @ relative[:, :3], axis=2).max(axis=1)
     starts = np.concatenate([corners, centres[:, None]], axis=1)
-    return _Pieces(starts, (at_centre @ nodes).reshape(-1, 3), relative, radius)
+    return _Pieces(starts, (at_centre @ nodes).reshape(-1, 3), relative, radius, bend)
 
 
-def _candidates(pieces: _Pieces, points: Array, bound: Array) -> Iterator[tuple[Ints, Ints]]:
-    """Pairs of a point and a piece that may come closer than a bound, chunk by chunk."""
-    for point, piece in Balls(pieces.centre, pieces.radius).near(points, bound):
-        # All of a piece lies beyond its first Bézier point in the direction of its centre.
-        direction = pieces.centre[piece] - points[point]
-        length = np.linalg.norm(direction, axis=1)
-        direction /= np.maximum(length, 1e-300)[:, None]
-        ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
-        keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
-        yield point[keep], piece[keep]
+def _candidates(pieces: _Pieces, points: Array, bound: Array) -> tuple[Ints, Ints]:
+    """Pairs of a point and a piece that may come closer than a bound, in the closest elements."""
+    per_cell = len(pieces.starts)
+    point, cell = np.divmod(_closest_cells(pieces, points, bound), len(pieces.centre) // per_cell)
+    point = np.repeat(point, per_cell)
+    piece = (per_cell * cell[:, None] + np.arange(per_cell)).ravel()
+    # All of a piece lies beyond its first Bézier point in the direction of its centre.
+    direction = pieces.centre[piece] - points[point]
+    length = np.linalg.norm(direction, axis=1)
+    direction /= np.maximum(length, 1e-300)[:, None]
+    ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
+    keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
+    point, piece = point[keep], piece[keep]
+    order = np.lexsort((piece, np.frexp(pieces.radius)[1][piece], point))  # small ones first
+    return point[order], piece[order]
+
+
+def _closest_cells(pieces: _Pieces, points: Array, bound: Array) -> Ints:
+    """Pairs of points and elements that may hold the closest: number of a point times T, plus t.
+
+    A piece is near the triangle of its corners: no farther than its Bézier points are from points
+    of that with the same coordinates. So the triangles tell which is closest, but for elements that
+    nearly are; of triangles so thin that their normals are rounding, nothing is taken as known.
+    """
+    corners = pieces.centre[:, None] + pieces.bezier[:, :3]
+    foot = FootPoints(corners, pieces.bend)
+    sides = np.roll(corners, -1, axis=1) - corners
+    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    thin = double_area <= THIN * (sides**2).sum(axis=2).max(axis=1)
+    unsure = np.where(thin, np.inf, pieces.bend)
+
+    first, per_cell = foot.near(points), len(pieces.starts)
+    bound = np.minimum(bound, foot.foot(points, first)[1] + unsure[first])
+    found = []
+    for point, piece in foot.pairs(points, bound + TOLERANCE):
+        distance = foot.foot(points[point], piece)[1]
+        np.minimum.at(bound, point, distance + unsure[piece])
+        error = unsure[piece] + TOLERANCE * (1 + distance)
+        found.append(
+            (point * (len(corners) // per_cell) + piece // per_cell, point, distance - error)
+        )
+    pair, point, least = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return np.unique(pair[least <= bound[point]])
 
 
 def _minimise(degree: int, nodes: Array, start: Array) -> tuple[Array, Array]:

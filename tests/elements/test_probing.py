@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
-from esfem_core.elements import tabulate
+from esfem_core.elements import probing, tabulate
 from esfem_core.elements.probing import _step, closest_points, probe
 from esfem_core.study import observed_orders
 
@@ -297,3 +297,37 @@ def test_a_surface_of_any_size_has_closest_points(power):
     np.testing.assert_array_equal(other.cell, one.cell)
     np.testing.assert_array_equal(other.points, 2.0**power * one.points)
     np.testing.assert_array_equal(other.distance, 2.0**power * one.distance)
+
+
+def descents(monkeypatch):
+    """Numbers of descents of calls that come."""
+    counts, minimise = [], probing._minimise
+
+    def counted(degree, nodes, start):
+        counts.append(len(nodes))
+        return minimise(degree, nodes, start)
+
+    monkeypatch.setattr(probing, "_minimise", counted)
+    return counts
+
+
+@pytest.mark.parametrize("shape", ["can", "ellipsoid"])
+def test_pieces_are_not_searched_when_others_are_closer(shape, monkeypatch):
+    if shape == "can":
+        space = ec.SurfaceSpace(trimesh.creation.cylinder(radius=1, height=2, sections=400))
+    else:
+        space = sphere(3)
+    x = space.nodes * [1.0, 1.1, 1.5]
+    near = x[::14] + 0.01 * np.random.default_rng(4).normal(size=x[::14].shape)
+    points = np.vstack([x[::14], near])
+    counts = descents(monkeypatch)
+    few = closest_points(space, x, points)
+    assert sum(counts) < 40 * len(points)
+
+    def every(pieces, points, bound):
+        return tuple(np.indices((len(points), len(pieces.centre))).reshape(2, -1))
+
+    monkeypatch.setattr("esfem_core.elements.probing._candidates", every)
+    all_pairs = closest_points(space, x, points)
+    np.testing.assert_array_equal(few.cell, all_pairs.cell)
+    np.testing.assert_allclose(few.points, all_pairs.points, rtol=0, atol=1e-13)
