@@ -1,8 +1,9 @@
 """Finished cases, one line of a file each.
 
 A file can be written by several processes at once, which can be killed at any moment: a line is
-appended whole or cut off by the next writer, and a line takes the place of another by a new file
-that replaces the old one. What the parameters are decides which case a line is.
+appended whole or cut off by the next writer. What the parameters are decides which case a line is,
+and the last one of a case counts; who has renewed cases leaves, at the end, a new file without the
+lines that do not count.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,7 @@ __all__ = [
     "set_aside",
 ]
 
+TAIL = 2**16  # bytes before its end that tell whether a file is still the one that was read
 BEGINNING = b'{"parameters": '  # of a line
 LARGEST = 1024  # bits of an integer, as many as floats can have: what Python writes is limited, too
 
@@ -303,11 +306,9 @@ class Store:
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()  # what is replaced is the file, and not a link to it
-        self._rows: dict[str, Row] = {}
-        self._seen: tuple[int, ...] = ()
-        self._read = b""  # that part of the file of which the rows are known
         self._claimed: set[str] = set()
-        self._began = False
+        self._began = self._renewed = False
+        self._forget()
         self._refresh()
         self._locks = FileLocks(self.path.with_name(f".{self.path.name}.lock"))
 
@@ -340,7 +341,7 @@ class Store:
         self._locks.give_back(_number(key))
 
     def put(self, row: Row) -> Row:
-        """Write a row, in the place of one of the same case that other code has made.
+        """Write a row, also where other code has made one of the same case.
 
         Returns
         -------
@@ -358,61 +359,95 @@ class Store:
             old = self._rows.get(key)
             if old and old.code == row.code:
                 return deepcopy(old)
-            if old:
-                self._replace(self._rows | {key: row})
-            else:
-                self._append(_line(row))
+            self._append(key, _line(row))
+            self._renewed |= bool(old)
         return row
 
     def close(self) -> None:
         """Release all cases."""
+        if self._renewed:
+            with suppress(OSError, ValueError):  # it has all rows, also as it is
+                self._compact()
         self._locks.close()
+
+    def _forget(self) -> None:
+        """Know nothing of the file."""
+        self._rows: dict[str, Row] = {}
+        self._seen: tuple[int, ...] = ()
+        self._end, self._tail = 0, b""  # of that part of the file of which the rows are known
 
     def _refresh(self) -> None:
         """Read the file if it has changed."""
         try:
-            now = self.path.stat()
+            if _look(self.path.stat()) == self._seen:
+                return
+            with self.path.open("rb", buffering=0) as file:
+                self._take(file)
         except FileNotFoundError:
-            self._rows, self._seen, self._read = {}, (), b""
-            return
-        seen = now.st_ino, now.st_size, now.st_mtime_ns
-        if seen != self._seen:
-            self._take(self.path.read_bytes())
-            self._seen = seen
+            self._forget()
 
-    def _take(self, data: bytes) -> None:
-        """Take in what the file holds now; rows are most of the work, and looked at once."""
-        whole = self._read.endswith(b"\n") and data.startswith(self._read)
-        known = len(self._read) if whole else 0
+    def _take(self, file: FileIO) -> None:
+        """Take in what the file holds now; rows are most of the work, and looked at once.
+
+        That others have written the file anew is seen by its number, or by what is no longer there.
+        """
+        seen = _look(os.fstat(file.fileno()))
+        if seen[:1] != self._seen[:1] or not self._tail.endswith(b"\n"):
+            self._forget()
+        file.seek(self._end - len(self._tail))
+        data = file.read()
+        if not data.startswith(self._tail):
+            self._forget()
+            file.seek(0)
+            data = file.read()
+        new = data[len(self._tail) :]
         try:
-            rows, size = _parse(self.path, data[known:])
+            rows, size = _parse(self.path, new)
         except ValueError:
-            _parse(self.path, data)  # tells the number of the line
+            file.seek(0)
+            _parse(self.path, file.read())  # tells the number of the line
             raise
-        before = self._rows if known else {}
-        self._rows = before | {case_key(row.parameters): row for row in rows}
-        self._read = data[: known + size]
+        self._know({case_key(row.parameters): row for row in rows}, new[:size], seen)
 
-    def _replace(self, rows: Mapping[str, Row]) -> None:
-        """Write the file anew; who could read it can read it still, and nobody else."""
-        mode = stat.S_IMODE(self.path.stat().st_mode)
-        write_whole(self.path, b"".join(map(_line, rows.values())))
-        with suppress(OSError):  # a file system without permissions
-            self.path.chmod(mode)
+    def _know(self, rows: Mapping[str, Row], data: bytes, seen: tuple[int, ...]) -> None:
+        """Add the next bytes of the file to those of which the rows are known."""
+        self._rows.update(rows)
+        self._end += len(data)
+        self._tail = (self._tail + data)[-TAIL:]
+        self._seen = seen
 
-    def _append(self, line: bytes) -> None:
+    def _append(self, key: str, line: bytes) -> None:
         """Add a line, whole or not at all, after the last row."""
-        with self.path.open("ab", buffering=0) as file:
-            self._take(self.path.read_bytes())
-            end = len(self._read)
+        with self.path.open("a+b", buffering=0) as file:
+            self._take(file)
+            end = self._end
             file.truncate(end)
-            if end and not self._read.endswith(b"\n"):
+            row = _row(line)  # as anyone who reads it
+            if end and not self._tail.endswith(b"\n"):
                 line = b"\n" + line
             try:
                 _write(file.fileno(), line)
             except BaseException:
                 file.truncate(end)
                 raise
+            self._know({key: row}, line, _look(os.fstat(file.fileno())))
+
+    def _compact(self) -> None:
+        """Leave out the lines that do not count; who could read the file can, and nobody else."""
+        with self._locks.writing():
+            self._forget()  # nothing is taken from memory
+            self._refresh()
+            if not self._rows:  # the file is gone
+                return
+            mode = stat.S_IMODE(self.path.stat().st_mode)
+            write_whole(self.path, b"".join(map(_line, self._rows.values())))
+            with suppress(OSError):  # a file system without permissions
+                self.path.chmod(mode)
+
+
+def _look(status: os.stat_result) -> tuple[int, ...]:
+    """What is another when a file has changed; first of all, which file it is."""
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _write(file: int, data: bytes) -> None:

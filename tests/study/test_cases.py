@@ -393,8 +393,49 @@ def test_rows_are_read_once_however_many_there_are(tmp_path, monkeypatch):
 
     monkeypatch.setattr(rows, "_parse", counted)
     results, _ = study(tmp_path, grid(size=range(20)), lambda size: {"size": size}, name="a")
-    # The last one is not read again.
-    assert sum(sizes) == len(b"".join(map(rows._line, results.rows[:-1])))
+    assert sum(sizes) == 0  # one knows what one has written
+    assert read(tmp_path / "a.jsonl") == results.rows
+    sizes.clear()
+    study(tmp_path, grid(size=range(20)), lambda size: {"size": size + 1}, name="a")
+    size = len(b"".join(map(rows._line, results.rows)))
+    assert (
+        size < sum(sizes) < 4 * size
+    )  # once before, and all lines when it leaves out the old ones
+
+
+def test_others_write_while_rows_are_renewed_and_nothing_is_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr(rows, "TAIL", 100)
+    path = tmp_path / "a.jsonl"
+    store, other = rows.Store(path), rows.Store(path)
+    codes = [{"esfem_core": f"0, source {code}"} for code in "abc"]
+    for k in range(6):
+        store.put(rows.Row({"size": k}, {}, codes[0]))
+    for k in range(6):
+        (store, other)[k % 2].put(rows.Row({"size": k}, {}, codes[1]))
+    assert len(path.read_text().splitlines()) == 12
+    assert [row.code for row in read(path)] == ["b"] * 6
+    other.close()
+    assert len(path.read_text().splitlines()) == 6
+    store.put(rows.Row({"size": 0}, {}, codes[2]))
+    path.write_text(
+        path.read_text().replace('{"size": 3}, "results": {}', '{"size": 7}, "results": {}')
+    )
+    store.close()  # what it leaves is what is there, and not what it remembers
+    kept = [(row.parameters["size"], row.code) for row in read(path)]
+    assert kept == [(0, "c"), (1, "b"), (2, "b"), (7, "b"), (4, "b"), (5, "b")]
+    assert len(path.read_text().splitlines()) == 6
+
+
+def test_without_room_for_a_new_file_renewed_rows_stay_at_the_end_of_the_old_one(
+    tmp_path, monkeypatch
+):
+    def refuse(path, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    study(tmp_path, grid(size=(1, 2)), lambda size: {"size": size}, name="a")
+    monkeypatch.setattr(rows, "write_whole", refuse)
+    results, _ = study(tmp_path, grid(size=(1, 2)), lambda size: {"size": -size}, name="a")
+    assert [row.results["size"] for row in results.rows] == [-1, -2]
     assert read(tmp_path / "a.jsonl") == results.rows
 
 
