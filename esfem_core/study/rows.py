@@ -41,6 +41,8 @@ __all__ = [
 
 TAIL = 2**16  # bytes before its end that tell whether a file is still the one that was read
 BEGINNING = b'{"parameters": '  # of a line
+UTF_16 = "it is text in UTF-16: save it as UTF-8"
+OTHERS = {b"\x1f\x8b": "it is compressed: unpack it", b"\xff\xfe": UTF_16, b"\xfe\xff": UTF_16}
 LARGEST = 1024  # bits of an integer, as many as floats can have: what Python writes is limited, too
 
 Parameters = Mapping[str, Any]
@@ -273,9 +275,14 @@ def _is_cut_off(line: bytes) -> bool:
 
 
 def _row(line: bytes) -> Row:
+    for mark, what in OTHERS.items():
+        if line.startswith(mark):
+            raise ValueError(what)
     try:
         found = json.loads(line)
-    except ValueError:
+    except ValueError as error:
+        if isinstance(error, json.JSONDecodeError) and line.startswith(BEGINNING):
+            raise ValueError(f"it is no JSON: {error.msg}, character {error.pos + 1}") from None
         beginning = line[:20].decode(errors="replace")  # such as a mark of a merge
         raise ValueError(f"it is no JSON, but begins with {beginning!r}") from None
     if not isinstance(found, dict) or set(found) != {"parameters", "results", "provenance"}:
@@ -306,6 +313,11 @@ class Store:
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()  # what is replaced is the file, and not a link to it
+        if path.is_dir():
+            raise IsADirectoryError(
+                f"the results belong into the file {str(path)!r}, but this is a folder: move it, "
+                "or give the study another name or folder"
+            )
         self._claimed: set[str] = set()
         self._began = self._renewed = False
         self._forget()

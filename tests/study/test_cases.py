@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import gzip
 import hashlib
 import json
 import os
@@ -374,6 +375,28 @@ def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path, te
     with pytest.raises(ValueError, match=r"power\.jsonl is not a file of results: line \d: "):
         study(tmp_path, grid(order=[1], step=[1]))
     assert path.read_bytes() == text.encode()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (gzip.compress, "line 1: it is compressed: unpack it$"),
+        (lambda data: data.decode().encode("utf-16"), "line 1: it is text in UTF-16: save it as"),
+        (lambda data: data.replace(b"\n", b"\r") + data, "JSON: Extra data, character 88$"),
+        (lambda data: data + b"\xe4 = 3", "line 2: it is no JSON, but begins with '\ufffd = 3'"),
+    ],
+)
+def test_what_has_become_of_a_file_is_told(tmp_path, changed, message):
+    path = tmp_path / "a.jsonl"
+    path.write_bytes(changed(f"{GOOD}\n".encode()))
+    with pytest.raises(ValueError, match=message):
+        read(path)
+
+
+def test_a_folder_in_the_place_of_the_file_is_told_before_a_case_is_computed(tmp_path):
+    (tmp_path / "a.jsonl").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"the file '.*a\.jsonl', but this is a folder"):
+        study(tmp_path, grid(size=[1]), lambda size: pytest.fail("began"), name="a")
 
 
 def test_the_last_row_of_a_case_counts(tmp_path):
