@@ -205,6 +205,9 @@ def run(
     without it they must stand in a module, or be computed with ``workers=0``. Modules are read by
     each process when it begins: a case fails where a process has read another text of one than the
     process that calls this. Reload a module that was edited (or start anew), and start pools anew.
+    Values that are set in a module after it was imported do not reach processes: in our own, a case
+    that uses them fails. Set them at the top of the module, hand them over as parameters, or
+    compute with ``workers=0``.
 
     What `compute` uses besides its parameters must stay what it is: a dict in which it keeps meshes
     makes its rows out of date, and ``functools.cache``, on a function that makes them, does not.

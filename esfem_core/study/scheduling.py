@@ -53,7 +53,7 @@ from esfem_core.study.rows import (
     reason_of,
     set_aside,
 )
-from esfem_core.study.user_code import code_of, imports_of
+from esfem_core.study.user_code import code_of, imports_of, values_of
 
 __all__ = [
     "Experiment",
@@ -267,19 +267,34 @@ class _Sent(NamedTuple):
         Its hash.
     imports : dict
         What another process imports of it, see :func:`esfem_core.study.user_code.imports_of`.
+    values : str
+        What a process of our own must find, see :func:`esfem_core.study.user_code.values_of`;
+        empty if that is not known.
     """
 
     function: Any
     code: str
     imports: dict[str, str]
+    values: str = ""
 
 
 def _sent(compute: Callable[..., Any], executor: Executor | None) -> _Sent:
     code = code_of(compute)
     if executor is None:
         return _Sent(compute, code, {})
-    known = isinstance(executor, Processes | ProcessPoolExecutor)
-    return _Sent(pickled(compute) if known else compute, code, imports_of(compute))
+    if not isinstance(executor, Processes | ProcessPoolExecutor):
+        return _Sent(compute, code, imports_of(compute))
+    sent = pickled(compute)
+    values = _values(sent) if isinstance(executor, Processes) else ""
+    return _Sent(sent, code, imports_of(compute), values)
+
+
+def _values(sent: bytes) -> str:
+    """What a process finds in a function that was sent to it; empty if it is other each time."""
+    compute = loads(sent)
+    if is_of_package(compute):
+        return ""
+    return first if (first := values_of(compute)) == values_of(loads(sent)) else ""
 
 
 def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
@@ -287,6 +302,7 @@ def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
     try:
         compute = loads(sent.function) if isinstance(sent.function, bytes) else sent.function
         _require_same_code(compute, sent.imports)
+        _require_same_values(sent)
         return _computed(compute, parameters, sent.code)
     except KeyboardInterrupt:
         raise
@@ -311,6 +327,32 @@ def _require_same_code(compute: Callable[..., Any], wanted: Mapping[str, str]) -
                 "was changed after one of them had read it; start both anew"
             )
     _compared.add(key)
+
+
+_same: dict[str, bool] = {}  # by values: starting a process to find out takes long
+
+
+def _require_same_values(sent: _Sent) -> None:
+    """Refuse to compute with other values than those of the process that began the study."""
+    if sent.values not in _same:
+        # Where cases were computed they may have changed what others use.
+        _same[sent.values] = any(_same.values()) or not _differs(sent)
+    if not _same[sent.values]:
+        raise RuntimeError(
+            "compute uses values that are not the same in the process that computes and in the one "
+            "that has started the study: something was set or filled in a module after it was "
+            "imported, which worker processes do not see, or is read from the environment; set it "
+            "at the top of the module, hand it over as a parameter, or compute with workers=0"
+        )
+
+
+def _differs(sent: _Sent) -> bool:
+    """Whether worker processes find other values, the same in each: not such as are drawn."""
+    here = _values(sent.function) if sent.values else ""
+    if here in ("", sent.values):
+        return False
+    with Processes(1) as other:
+        return bool(other.submit(_values, sent.function).result() == here)
 
 
 def _computed(compute: Callable[..., Any], parameters: Parameters, code: str) -> Row:

@@ -40,7 +40,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.study import dependencies, loaded
 from esfem_core.study.dependencies import PACKAGE, code_hash, is_of_package
 
-__all__ = ["code_of", "imports_of"]
+__all__ = ["code_of", "imports_of", "values_of"]
 
 BY_TEXT = (str, bytes, bytearray, bool, int, float, complex, type(None), type(...), range)
 """Values that their `repr` tells all of."""
@@ -124,7 +124,17 @@ def imports_of(function: Callable[..., Any]) -> dict[str, str]:
     return found
 
 
-def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
+def values_of(function: Callable[..., Any]) -> str:
+    """Hash of what a function reaches as it is loaded, to compare processes of one machine.
+
+    It is as that of :func:`code_of`, but files are not looked at: another process may lack them,
+    such as the cells of a notebook. It may be another one in each process, as where a module draws
+    a number when it is imported.
+    """
+    return _digest(function, {}, loaded_only=True)[:12]
+
+
+def _digest(value: Any, seen: dict[int, tuple[int, Any]], loaded_only: bool = False) -> str:
     """Hash of the texts of all that a value reaches, in the order in which it is met.
 
     `seen` are the objects met before, with their numbers, by id, and receives those that it meets;
@@ -138,12 +148,15 @@ def _digest(value: Any, seen: dict[int, tuple[int, Any]]) -> str:
         elif id(value) in seen:
             texts.append(f"as number {seen[id(value)][0]}")
         else:
-            seen[id(value)] = len(seen), value
-            text, parts = _told(value)
+            if not loaded_only or type(value) not in (tuple, frozenset):
+                # Which of them are one object is another matter where code comes from a cache.
+                seen[id(value)] = len(seen), value
+            plain = loaded_only and isinstance(value, FunctionType)
+            text, parts = _told_of_function(value, True) if plain else _told(value)
             text += _compiled(value)
             if isinstance(value, set | frozenset):  # each by itself: their order is none
                 parts = sorted(
-                    repr(part) if type(part) in BY_TEXT else _digest(part, dict(seen))
+                    repr(part) if type(part) in BY_TEXT else _digest(part, dict(seen), loaded_only)
                     for part in parts
                 )
             texts.append(text)
@@ -282,7 +295,7 @@ def _told_of_class(value: type) -> Told:
     return name, [type(value), *value.__bases__, *(part for item in members for part in item)]
 
 
-def _told_of_function(function: FunctionType) -> Told:
+def _told_of_function(function: FunctionType, loaded_only: bool = False) -> Told:
     module, name = dependencies.home(function)
     inside = "<locals>" in name
     if dependencies.is_at_top(module, top := _head(name)):
@@ -292,7 +305,7 @@ def _told_of_function(function: FunctionType) -> Told:
         return f"{name} {dependencies.hash_of(module, top, PACKAGE)}", rest
     if module is not None and _is_library(module):  # None: made by exec, as by sympy.lambdify
         return f"{module}.{name}", _held(function) if inside else []
-    code, chains, imported = _source(function)
+    code, chains, imported = _loaded(function) if loaded_only else _source(function)
     enclosed, *defaults = _held(function)
     names = function.__globals__ | imported | enclosed
     used = [_found(names[name], rest) for name, *rest in chains if name in names]
@@ -393,6 +406,12 @@ def _source(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any
         else:
             found = [chain for part in tree.body for chain in dependencies.chains(part)]
             return repr(dependencies.syntax(tree.body)), found, _imports(tree, function)
+    return _loaded(function)
+
+
+def _loaded(function: FunctionType) -> tuple[Any, list[list[str]], dict[str, Any]]:
+    """Byte code of a function, and the a.b.c in it."""
+    code = function.__code__
     found = [chain for inner in loaded.codes(code) for chain in _chains(inner)]
     return loaded.byte_code(code), found, {}
 

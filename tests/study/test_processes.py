@@ -1,5 +1,6 @@
 """Real processes that die, are killed, start twice and find no room: nothing is lost or left."""
 
+import importlib
 import json
 import multiprocessing
 import os
@@ -441,6 +442,61 @@ def test_a_case_whose_process_dies_leaves_none_of_what_it_has_started(tmp_path):
     assert isinstance(outcome.error, WorkerLostError)
     listed = subprocess.run(["ps", "-A", "-o", "args="], capture_output=True, text=True, check=True)
     assert "sleep 77" not in listed.stdout.splitlines()
+
+
+SETTINGS = """
+import numpy as np
+OPTIONS = {"factor": 1}
+WEIGHTS = np.ones(1)
+class Config:
+    factor = 1
+config = Config()
+DRAWN = np.random.default_rng().random()
+NAMES = {"a", "b", ("c", "d")}
+def by_dict(n): return {"y": OPTIONS["factor"] * n}
+def by_array(n): return {"y": WEIGHTS[0] * n}
+def by_class(n): return {"y": Config.factor * n}
+def by_object(n): return {"y": config.factor * n}
+def honest(n): return {"y": n if NAMES else 0}
+def drawn(n): return {"y": n + (DRAWN < 0)}
+"""
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    (tmp_path / "settings_of_a_study.py").write_text(SETTINGS)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("settings_of_a_study")
+    del sys.modules["settings_of_a_study"]
+
+
+@pytest.mark.parametrize("name", ["by_dict", "by_array", "by_class", "by_object"])
+def test_what_was_set_in_a_module_after_its_import_is_not_missed_in_silence(
+    tmp_path, settings, name
+):
+    settings.OPTIONS["factor"] = settings.WEIGHTS[0] = 5
+    settings.Config.factor = settings.config.factor = 5
+    with pytest.warns(StudyWarning, match="2 of the cases failed"):
+        results = run(grid(n=(1, 2)), getattr(settings, name), tmp_path, workers=1, progress=False)
+    assert results.rows == []
+    assert "hand it over as a parameter, or compute with workers=0" in str(
+        results.failures[0].error
+    )
+
+
+def test_what_is_the_same_in_processes_or_other_in_each_is_computed(tmp_path, settings):
+    from functools import partial
+
+    names, factor = settings.NAMES, {"factor": 3}
+
+    def enclosing(n):
+        return {"y": factor["factor"] * n + (len(names) < 0) + settings.honest(n)["y"]}
+
+    honest = settings.honest, settings.drawn, settings.by_object, enclosing, partial(settings.drawn)
+    for function in honest:
+        results = run([{"n": 2}], function, tmp_path, name="a", workers=1, progress=False)
+        assert results.failures == []
+    assert results.rows[0].results == {"y": 2}
 
 
 def forking(*, i):
