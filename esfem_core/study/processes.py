@@ -5,6 +5,8 @@ worker has a thread that starts it, hands it one call after the other, and start
 place when it is gone.
 """
 
+import functools
+import io
 import multiprocessing
 import os
 import pickle
@@ -31,6 +33,8 @@ __all__ = ["Processes", "WorkerLostError", "pickled", "transportable"]
 
 THREADS = ("OMP_NUM_THREADS", *BLAS_THREADS, "NUMEXPR_NUM_THREADS")
 """Variables that the libraries under NumPy and SciPy read when they are loaded."""
+
+CACHED = type(functools.cache(abs))
 
 GROUPS = hasattr(os, "setpgid")
 """Whether processes have groups that can be ended as a whole."""
@@ -63,7 +67,7 @@ def pickled(function: Callable[..., Any]) -> bytes:
     text = ""
     try:
         if cloudpickle:
-            return bytes(cloudpickle.dumps(function))
+            return _by_value(function)
         main = sys.modules["__main__"]
         if getattr(function, "__module__", None) != "__main__" or hasattr(main, "__file__"):
             return pickle.dumps(function)
@@ -75,6 +79,25 @@ def pickled(function: Callable[..., Any]) -> bytes:
         f"{getattr(function, '__qualname__', function)!r} cannot be sent to one{text}: {install}"
         "put it into a module, or compute in this process with workers=0"
     )
+
+
+def _by_value(function: Callable[..., Any]) -> bytes:
+    """Bytes of a function, with what it reaches in a notebook or a script."""
+
+    class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
+        def reducer_override(self, obj: Any) -> Any:
+            if isinstance(obj, CACHED) and obj.__module__ == "__main__":  # else sent by name
+                return _cached, (obj.__wrapped__, obj.cache_parameters())
+            return super().reducer_override(obj)
+
+    file = io.BytesIO()
+    Pickler(file).dump(function)
+    return file.getvalue()
+
+
+def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    cached: Callable[..., Any] = functools.lru_cache(**options)(function)
+    return cached
 
 
 def transportable(error: BaseException) -> Exception:

@@ -24,6 +24,7 @@ from concurrent.futures import (
 )
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from pickle import loads
 from typing import Any, Literal, NamedTuple
@@ -300,7 +301,7 @@ def _values(sent: bytes) -> str:
 def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
     """Compute a case, on whatever machine: its row, or what went wrong, as something to send."""
     try:
-        compute = loads(sent.function) if isinstance(sent.function, bytes) else sent.function
+        compute = _read(sent.function) if isinstance(sent.function, bytes) else sent.function
         _require_same_code(compute, sent.imports)
         _require_same_values(sent)
         return _computed(compute, parameters, sent.code)
@@ -308,6 +309,11 @@ def _attempt(sent: _Sent, parameters: Parameters) -> Row | Failure:
         raise
     except BaseException as error:  # CancelledError and SystemExit, too
         return Failure(parameters, transportable(error))
+
+
+@lru_cache(1)  # functools.cache in a notebook has something to keep then
+def _read(function: bytes) -> Any:
+    return loads(function)
 
 
 _compared: set[tuple[tuple[str, str], ...]] = set()  # once for each study: cases may be many

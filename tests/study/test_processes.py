@@ -292,6 +292,31 @@ def test_functions_of_a_notebook_are_sent_to_processes(tmp_path):
     assert "2/2" in found.stderr  # tqdm
 
 
+CACHING = """
+import functools
+import esfem_core as ec
+made = []
+@functools.cache
+def mesh(n):
+    made.append(n)
+    return ec.sphere("octahedron", n)
+@functools.lru_cache(maxsize=None)
+def factorial(n):
+    return n * factorial(n - 1) if n else 1
+def compute(n, i):
+    return {{"n": len(mesh(n).faces) * factorial(i), "made": len(made)}}
+cases = ec.study.grid(n=(1, 2), i=(1, 2, 3))
+found = ec.study.run(cases, compute, {folder!r}, workers=1, progress=False)
+print([row.results["n"] for row in found.rows], found.rows[-1].results["made"])
+"""
+
+
+def test_cached_functions_of_a_notebook_are_sent_and_keep_what_they_have_made(tmp_path):
+    pytest.importorskip("cloudpickle")
+    found = python("-c", CACHING.format(folder=str(tmp_path)), check=True)
+    assert found.stdout == "[32, 64, 192, 128, 256, 768] 2\n"
+
+
 def test_where_they_cannot_be_sent_this_is_said_and_they_can_be_computed_here(tmp_path):
     script = NOTEBOOK.format(hide=True, folder=str(tmp_path), workers=(1, 0))
     refused, computed = python("-c", script, check=True).stdout.splitlines()
