@@ -214,6 +214,9 @@ def run(
     Objects of other packages that cannot be pickled, such as a factorisation of CHOLMOD, make them
     so in every run: make these in `compute`.
 
+    Functions that are reached only by a text, as by ``globals()[name]`` or ``eval``, do not count:
+    a row stays as it was when they change. A dict of functions does, ``{"law": law}[name]``.
+
     Contents of files do not count: a case that reads a file whose contents have changed is found as
     it was. A checksum among its parameters makes it a case anew.
 

@@ -85,6 +85,9 @@ def code_of(function: Callable[..., Any]) -> str:
     all if none is. Modules count as far as they are used, compiled ones by their files, and those
     of other packages by their names.
 
+    What a function reaches only by a text does not count: ``globals()[name]``, ``vars()``, ``eval``
+    and ``exec``. A dict of functions, ``{"law": law}[name]``, does.
+
     Examples
     --------
     >>> def area(radius):

@@ -647,6 +647,30 @@ def test_what_a_space_or_a_mesh_has_computed_in_the_meantime_does_not_count():
     assert code_of(lambda: (used, tri)) == before
 
 
+def law(x):
+    return 2 * x
+
+
+def other_law(x):
+    return 3 * x
+
+
+def test_a_dict_of_functions_counts_and_names_in_a_text_do_not(monkeypatch):
+    laws = {"law": law}
+
+    def chosen(name, x):
+        return laws[name](x)
+
+    def looked_up(name, x):
+        return globals()[name](x)
+
+    before = code_of(chosen), code_of(looked_up)
+    laws["law"] = other_law
+    monkeypatch.setitem(globals(), "law", other_law)
+    assert code_of(chosen) != before[0]
+    assert code_of(looked_up) == before[1]  # as its docstring says
+
+
 def test_recursion_ends():
     def even(n):
         return n == 0 or odd(n - 1)
