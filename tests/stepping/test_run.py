@@ -233,11 +233,10 @@ def test_exact_starting_values_are_the_initial_ones():
 def test_the_functions_of_another_law_can_be_made_from_a_state():
     last = final(ec.evolve(SPACE, ec.Problem(1.0), 1, 0.1, 0.1))
     flow = ec.Problem(1.0, law=ec.laws.MeanCurvature())
-    with pytest.raises(ValueError, match=r"'normal', .* law.initial\(state.surface\(\)\) has"):
+    with pytest.raises(ValueError, match=r"'normal', .*started_anew\(state, problem, order, step\)"):
         ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=[last])
-    fields = last.fields | flow.law.initial(last.surface())
-    start = dataclasses.replace(last, fields=fields)
-    assert final(ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=[start])).t == 0.2
+    start = ec.started_anew(last, flow, 1, 0.1)
+    assert final(ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=start)).t == 0.2
 
 
 @pytest.mark.parametrize("p", [2, 3, 4, 5])
