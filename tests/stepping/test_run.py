@@ -233,7 +233,9 @@ def test_exact_starting_values_are_the_initial_ones():
 def test_the_functions_of_another_law_can_be_made_from_a_state():
     last = final(ec.evolve(SPACE, ec.Problem(1.0), 1, 0.1, 0.1))
     flow = ec.Problem(1.0, law=ec.laws.MeanCurvature())
-    with pytest.raises(ValueError, match=r"'normal', .*started_anew\(state, problem, order, step\)"):
+    with pytest.raises(
+        ValueError, match=r"'normal', .*started_anew\(state, problem, order, step\)"
+    ):
         ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=[last])
     start = ec.started_anew(last, flow, 1, 0.1)
     assert final(ec.evolve(SPACE, flow, 1, 0.1, 0.2, start=start)).t == 0.2
