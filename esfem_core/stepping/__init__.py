@@ -3,7 +3,7 @@
 from esfem_core.stepping import bdf
 from esfem_core.stepping.agreement import check_exact_surface
 from esfem_core.stepping.checkpoints import load, save
-from esfem_core.stepping.files import write_whole
+from esfem_core.stepping.files import FULL, write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.remeshing import remeshed
@@ -23,6 +23,7 @@ from esfem_core.stepping.systems import Statistics
 from esfem_core.stepping.times import same_time
 
 __all__ = [
+    "FULL",
     "MASSES",
     "EvolutionError",
     "EvolutionWarning",

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from esfem_core.checks import items, path_of, shown
-from esfem_core.stepping import write_whole
-from esfem_core.stepping.files import FULL
+from esfem_core.stepping import FULL, write_whole
 from esfem_core.study.locks import FileLocks
 
 __all__ = [
