@@ -162,6 +162,8 @@ def check_starts(
             for t in (n * step for n in range(1, order)):
                 x = finite_array("exact.x", problem.exact.x(nodes.copy(), t), nodes.shape)
                 at.append((f"exact.x(p, t) at t = {t:g}", x))
+    if not at:
+        return
     component = components(space.cells[:, :3])
     at_boundary = np.isin(space.cells[:, :3], space.boundary_nodes).any(axis=1)
     is_open = np.isin(np.arange(component.max() + 1), component[at_boundary])
