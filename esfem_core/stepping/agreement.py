@@ -7,13 +7,13 @@ from itertools import product
 
 import numpy as np
 
-from esfem_core.checks import Array, Ints, finite_array, level_outside, real_array
+from esfem_core.checks import Array, finite_array, level_outside, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import State
-from esfem_core.surfaces import components
+from esfem_core.surfaces import components, volumes
 
 __all__ = [
     "check_exact",
@@ -167,9 +167,9 @@ def check_starts(
     component = components(space.cells[:, :3])
     at_boundary = np.isin(space.cells[:, :3], space.boundary_nodes).any(axis=1)
     is_open = np.isin(np.arange(component.max() + 1), component[at_boundary])
-    before = _volumes(space, space.nodes, component)
+    before = volumes(space.nodes, space.cells[:, :3], component)
     for name, x in at:
-        volume = _volumes(space, x, component)
+        volume = volumes(x, space.cells[:, :3], component)
         turned = (volume * before < 0) & ~is_open
         if turned.any():
             i = int(np.argmax(turned))
@@ -179,12 +179,6 @@ def check_starts(
                 f"there: it encloses a volume of {volume[i]:.3g}, with the nodes of the space "
                 f"{before[i]:.3g}"
             )
-
-
-def _volumes(space: SurfaceSpace, x: Array, component: Ints) -> Array:
-    """Volumes that the flat triangles of components enclose."""
-    a, b, c = (x - x[0])[space.cells[:, :3].T]
-    return np.bincount(component, np.vecdot(a, np.cross(b, c))) / 6
 
 
 def check_exact(space: SurfaceSpace, problem: Problem, t: float, end: float) -> None:

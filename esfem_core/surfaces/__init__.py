@@ -4,7 +4,6 @@ A linear triangulation *is* a :class:`trimesh.Trimesh`; everything here takes or
 """
 
 from esfem_core.surfaces import exact_surfaces
-from esfem_core.surfaces.balls import Balls
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
@@ -19,6 +18,7 @@ from esfem_core.surfaces.orientation import (
     sides_of,
     turned_to_agree,
     turned_to_outside,
+    volumes,
 )
 from esfem_core.surfaces.places import without_unused
 from esfem_core.surfaces.quality import Quality, mesh_quality
@@ -30,7 +30,6 @@ from esfem_core.surfaces.sources import Elements
 
 __all__ = [
     "FLATTEST",
-    "Balls",
     "Edges",
     "Elements",
     "Evened",
@@ -72,5 +71,6 @@ __all__ = [
     "torus",
     "turned_to_agree",
     "turned_to_outside",
+    "volumes",
     "without_unused",
 ]

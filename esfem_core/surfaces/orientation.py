@@ -26,6 +26,7 @@ __all__ = [
     "sides_of",
     "turned_to_agree",
     "turned_to_outside",
+    "volumes",
     "winding_numbers",
     "with_turned",
 ]
@@ -224,6 +225,22 @@ class Shells(NamedTuple):
         return np.asarray((self.volume < 0) != (self.depth % 2 == 1))
 
 
+def volumes(vertices: Array, faces: Ints, label: Ints) -> Array:
+    """Volumes that the components of a closed surface enclose, (C,), negative if inside out.
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> tri = ec.sphere("octahedron", 0)
+    >>> volumes(tri.vertices, tri.faces, components(tri.faces)).round(3)
+    array([1.333])
+    """
+    _, first = np.unique(label, return_index=True)
+    # Relative to a vertex of its own, so that places far from the origin cost no digits.
+    a, b, c = (vertices[corner] - vertices[faces[first, 0]][label] for corner in faces.T)
+    return np.bincount(label, (a * np.cross(b, c)).sum(axis=1)) / 6
+
+
 def shells(vertices: Array, faces: Ints) -> Shells:
     """Components, volumes and nesting of a closed surface whose neighbours are oriented alike.
 
@@ -236,13 +253,9 @@ def shells(vertices: Array, faces: Ints) -> Shells:
     ([0, 1], [1.0, -1.0], [False, False])
     """
     label = components(faces)
-    _, first = np.unique(label, return_index=True)
-
-    # Relative to a vertex of its own, so that places far from the origin cost no digits.
-    a, b, c = (vertices[corner] - vertices[faces[first, 0]][label] for corner in faces.T)
-    volume = np.bincount(label, (a * np.cross(b, c)).sum(axis=1)) / 6
+    volume = volumes(vertices, faces, label)
     area = np.bincount(label, np.linalg.norm(normals_of(vertices, faces), axis=1)) / 2
-    low, high = _boxes(vertices, faces, label, len(first))
+    low, high = _boxes(vertices, faces, label, len(volume))
     flat = np.abs(volume) <= FLAT * area * np.linalg.norm(high - low, axis=1)
     return Shells(label, volume, _depths(vertices, faces, label, low, high), flat)
 

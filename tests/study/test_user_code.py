@@ -34,7 +34,7 @@ from esfem_core.stepping import bdf
 from esfem_core.study import dependencies, user_code
 from esfem_core.study.dependencies import code_hash
 from esfem_core.study.user_code import code_of, imports_of
-from esfem_core.surfaces import Balls
+from esfem_core.surfaces.balls import Balls
 
 SOURCE = '''
 import numpy as np
