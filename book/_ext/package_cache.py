@@ -7,10 +7,15 @@ Python version.
 
 myst-nb executes a notebook when it comes to it, one after the other. Here those that are missing in
 the cache are executed before, one on each processor.
+
+What follows, reading and writing pages, is work of one processor. The trees of pages are made of
+millions of objects that live until the end, and Python's collector of garbage would go through them
+again and again: it is told to look less often.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import logging
 import os
@@ -72,6 +77,7 @@ def execute(app: Sphinx, env: BuildEnvironment, names: list[str]) -> None:
 
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
+    gc.set_threshold(100_000, 20, 100)
     app.connect("config-inited", configure)
     app.connect("env-before-read-docs", execute)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

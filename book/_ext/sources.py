@@ -48,11 +48,15 @@ def tree(module: str) -> ast.Module:
     return ast.parse(source(module))
 
 
-def imports(module: str) -> Iterator[tuple[str, str, str]]:
-    """Yield what a module imports from the package: name here, module there, name there."""
-    for node in ast.walk(tree(module)):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == PACKAGE:
-            yield from ((a.asname or a.name, node.module or "", a.name) for a in node.names)
+@cache
+def imports(module: str) -> tuple[tuple[str, str, str], ...]:
+    """Return what a module imports from the package: name here, module there, name there."""
+    return tuple(
+        (a.asname or a.name, node.module or "", a.name)
+        for node in ast.walk(tree(module))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == PACKAGE
+        for a in node.names
+    )
 
 
 def definitions(module: str) -> Iterator[tuple[str, Definition]]:
