@@ -179,6 +179,7 @@ class TestOrders:
             )
             assert least - 0.3 < order < least + 1.3, name
 
+    @pytest.mark.slow
     def test_in_time(self):
         problem, space = oscillating(alpha=0.1, beta=0.1), torus_space(2, 10, 4)
         fine = list(ec.evolve(space, problem, 5, 1 / 320, 0.5, solver="direct"))[32:]

@@ -22,6 +22,7 @@ import esfem_core as ec
 from esfem_core.study import StudyWarning, UnsavedRowsError, WorkerLostError, grid, read, run
 from esfem_core.study.rows import Row, Store
 
+pytestmark = pytest.mark.slow  # a minute of processes that start, wait and are killed
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 
 FORK = multiprocessing.get_context("fork") if sys.platform != "win32" else None
