@@ -356,8 +356,8 @@ def path_of(name: str, path: object, of: str) -> Path:
     TypeError
         If it is no path.
     ValueError
-        If nothing can be there: it is too long, holds a NUL, or its links lead in a circle; or if
-        one may not look there.
+        If nothing can be there: it is too long, holds a NUL, or its links lead in a circle; if one
+        may not look there; or if it begins with the "~" of one's home, which only shells replace.
 
     Examples
     --------
@@ -376,6 +376,11 @@ def path_of(name: str, path: object, of: str) -> Path:
     except (OSError, ValueError) as error:  # too long, links in a circle, a NUL
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"{name} must be the path of {of}, got {text!r}: {reason}") from None
+    if text != os.path.expanduser(text):
+        raise ValueError(
+            f"{name} must be the path of {of}, got {text!r}: only shells replace ~ by your "
+            f"home; Path({text!r}).expanduser() does it here"
+        )
     return Path(text)
 
 

@@ -3,11 +3,13 @@
 import os
 from decimal import Decimal
 from fractions import Fraction
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 
+import esfem_core as ec
 from esfem_core import Species
 from esfem_core.checks import (
     check_even,
@@ -192,6 +194,30 @@ class TestPaths:
     @pytest.mark.parametrize("path", [None, 3, b"run.npz", Fraction(1)])
     def test_what_is_no_path_is_refused_by_name(self, path):
         self.refused(path, TypeError, "save must be the path of a file, got ")
+
+    def test_a_home_that_a_shell_would_put_in_is_told_and_no_folder_called_so(
+        self, tmp_path, monkeypatch
+    ):
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.chdir(tmp_path)
+        space, run = ec.SurfaceSpace(ec.sphere("octahedron")), Path("~/run.npz")
+        for use in (
+            lambda: ec.save(run, ec.State(0.0, space.nodes, space=space)),
+            lambda: ec.load(str(run)),
+            lambda: ec.save_table("~/run.csv", [{"t": 0.5}]),
+            lambda: ec.SurfaceSpace.read("~/tooth.ply"),
+            lambda: ec.study.read("~/sums.jsonl"),
+            lambda: ec.study.run([{}], dict, "~/study"),
+        ):
+            with pytest.raises(
+                ValueError, match=r"got '(~/.*)': .*; Path\('\1'\)\.expanduser\(\) "
+            ):
+                use()
+        assert not list(tmp_path.iterdir())
+        ec.save(run.expanduser(), ec.State(0.0, space.nodes, space=space))
+        assert ec.load(tmp_path / "run.npz")[1][0].t == 0.0
+        for path in ("~$run.npz", "a~/run.npz"):  # of editors
+            assert str(path_of("path", path, "a file")) == path
 
     def test_a_parent_that_is_no_directory_is_named(self, tmp_path):
         (tmp_path / "file").touch()
