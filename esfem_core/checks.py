@@ -407,7 +407,7 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
     TypeError
         If it is no path.
     ValueError
-        If it ends otherwise, is a directory, or is refused by :func:`path_of`.
+        If it ends otherwise, is a directory or write-protected, or is refused by :func:`path_of`.
     FileNotFoundError, NotADirectoryError
         If its directory does not exist, or is a file.
     PermissionError
@@ -428,6 +428,11 @@ def output_path(name: str, path: object, suffixes: Sequence[str]) -> Path:
         raise ValueError(f"{name} must be a file, but {str(file)!r} is a directory")
     if file.exists() and not file.is_file():
         raise ValueError(f"{name} must be a file, but {str(file)!r} is a device or a pipe")
+    if file.exists() and not os.access(file, os.W_OK):  # to replace it, its directory would do
+        raise ValueError(
+            f"{name} must be a file that can be written to, but {str(file)!r} is write-protected; "
+            "choose another place, or take the protection off"
+        )
     parent = Path(os.path.realpath(file)).parent if file.is_symlink() else file.parent
     if not parent.exists():
         raise FileNotFoundError(

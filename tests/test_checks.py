@@ -241,6 +241,17 @@ class TestPaths:
         self.refused(tmp_path / "run.npz", PermissionError, message)
         assert asked == [(tmp_path, os.W_OK | os.X_OK)]
 
+    def test_a_file_that_is_write_protected_is_refused(self, tmp_path, monkeypatch):
+        path, access = tmp_path / "run.npz", os.access
+        path.touch()
+        monkeypatch.setattr(  # who runs the tests may be root, who may write anywhere
+            os, "access", lambda asked, mode: asked != path and access(asked, mode)
+        )
+        self.refused(
+            path, ValueError, r"save must be a file .*run\.npz' is write-protected; choose"
+        )
+        output_path("save", tmp_path / "other.npz", (".npz",))
+
     def test_directories_and_pipes_are_no_files(self, tmp_path):
         (tmp_path / "folder.npz").mkdir()
         os.mkfifo(tmp_path / "pipe.npz")

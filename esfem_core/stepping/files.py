@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
@@ -16,7 +17,8 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write a file; at any moment, also on a full disk, the old or the new one is there whole.
 
     The bytes go to a hidden file beside it, are forced to the disk, and take its place in one step.
-    Of several processes that write one file at once, the last one's is there.
+    Of several processes that write one file at once, the last one's is there. Who could read the
+    old one can read the new one, and nobody else.
 
     Parameters
     ----------
@@ -42,6 +44,7 @@ def write_whole(path: Path, data: bytes) -> None:
     beside = path.with_name(f".{uuid4().hex}.part")
     try:
         with beside.open("xb") as file:
+            _permit_as(path, beside)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -54,3 +57,9 @@ def write_whole(path: Path, data: bytes) -> None:
         advice = "make room, or choose" if error.errno in FULL else "choose"
         reason = f"{error.strerror}; the file is as it was: {advice} another place"
         raise OSError(error.errno, reason, str(path)) from error
+
+
+def _permit_as(old: Path, new: Path) -> None:
+    """Give a file the permissions of the one whose place it is to take."""
+    with suppress(OSError):  # there is none, or the file system knows no permissions
+        shutil.copymode(old, new)

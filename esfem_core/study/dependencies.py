@@ -5,9 +5,9 @@ out of date after every change of a docstring or of a picture; here a function's
 followed, name by name, through the definitions of the package that it can reach. What cannot change
 a result does not count: docstrings, comments, layout, what errors say, warnings, and what only
 refuses input, as each ``if`` does that only raises ValueError or TypeError. Functions named
-``check_...`` or ``warn...`` do nothing else, and calls of them do not count. What ends a run does,
-since an experiment may store that. Of a class those methods count whose names stand in code that
-is reached.
+``check_...`` or ``warn...`` do nothing else, and ``permit_...`` sets who may read a file: calls of
+them do not count. What ends a run does, since an experiment may store that. Of a class those
+methods count whose names stand in code that is reached.
 
 Code of the package is read from its files. That of a user, which may stand in a notebook, is
 followed from object to object by :mod:`esfem_core.study.user_code`.
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 __all__ = ["code_hash", "is_of_package", "reached"]
 
 PACKAGE = Path(__file__).parents[1]
+UNCOUNTED = "check_", "warn", "permit_"  # how names begin of functions whose calls do not count
 
 
 @dataclass(frozen=True)
@@ -283,7 +284,7 @@ class _WhatCounts(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         called = node.value.func if isinstance(node.value, ast.Call) else None
         name = getattr(called, "attr", getattr(called, "id", ""))
-        return None if name.lstrip("_").startswith(("check_", "warn")) else node
+        return None if name.lstrip("_").startswith(UNCOUNTED) else node
 
 
 def _refuses(statement: ast.stmt) -> bool:

@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import shlex
-import stat
 import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -444,16 +443,13 @@ class Store:
             self._know({key: row}, line, _look(os.fstat(file.fileno())))
 
     def _compact(self) -> None:
-        """Leave out the lines that do not count; who could read the file can, and nobody else."""
+        """Leave out the lines that do not count."""
         with self._locks.writing():
             self._forget()  # nothing is taken from memory
             self._refresh()
             if not self._rows:  # the file is gone
                 return
-            mode = stat.S_IMODE(self.path.stat().st_mode)
             write_whole(self.path, b"".join(map(_line, self._rows.values())))
-            with suppress(OSError):  # a file system without permissions
-                self.path.chmod(mode)
 
 
 def _look(status: os.stat_result) -> tuple[int, ...]:

@@ -97,6 +97,26 @@ def test_permissions_are_those_of_any_new_file(tmp_path, umask):
     assert (tmp_path / "ours").stat().st_mode == (tmp_path / "any").stat().st_mode
 
 
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other permissions")
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_a_file_has_the_permissions_of_the_one_whose_place_it_takes_before_it_takes_it(
+    tmp_path, monkeypatch, mode
+):
+    path, fsync, seen = tmp_path / "ours", os.fsync, []
+
+    def look(file):
+        seen.append(os.fstat(file).st_mode & 0o777)
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", look)
+    path.touch()
+    path.chmod(mode)
+    (tmp_path / "link").symlink_to("ours")
+    for name in ("ours", "link"):
+        write_whole(tmp_path / name, b"secret")
+    assert [*seen, path.stat().st_mode & 0o777] == [mode] * 3
+
+
 def test_a_name_as_long_as_a_name_may_be(tmp_path):
     path = tmp_path / ("n" * 251 + ".npz")
     write_whole(path, b"done")
