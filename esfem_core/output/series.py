@@ -9,6 +9,7 @@ import math
 import os
 import re
 import sys
+import warnings
 import zlib
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -19,9 +20,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from esfem_core.checks import flag, iterable, object_of, output_path
+from esfem_core.checks import flag, iterable, level_outside, object_of, output_path
 from esfem_core.elements import nodal_average
-from esfem_core.stepping import State, check_state, known_space, write_whole
+from esfem_core.stepping import EvolutionWarning, State, check_state, known_space, write_whole
 
 __all__ = ["SeriesWriter", "save_series"]
 
@@ -45,13 +46,14 @@ class SeriesWriter:
     normals : bool
         Write unit normals at the nodes, too, as "normals".
     go_on : bool
-        Keep what an earlier run has written of times before the first state that comes.
+        Keep what an earlier run has written of times before the first state that comes: of its
+        files, all must be there, or are left out, and the last one is read.
 
     Raises
     ------
     TypeError, ValueError
-        If `path` does not end with ".pvd" or has characters that XML cannot hold, or `go_on` meets
-        a file that is damaged, or another one.
+        If `path` does not end with ".pvd", has characters that XML cannot hold, or is a link into
+        another folder, or `go_on` meets a list that is damaged, or another one.
     FileNotFoundError, PermissionError
         If the directory does not exist, or cannot be written to.
 
@@ -73,11 +75,11 @@ class SeriesWriter:
     ) -> None:
         self.path = output_path("path", path, (".pvd",))
         _check_for_xml("the name of path", self.path.stem)
+        _check_one_folder(self.path)
         self._normals = flag("normals", normals)
         flag("go_on", go_on)
+        self._before = _entries(self.path) if go_on and self.path.exists() else []
         self._written: list[tuple[float, str]] = []
-        if go_on and self.path.exists():
-            self._written = _entries(self.path)
         self._number = 0  # of the next file
         self._last: State | None = None
 
@@ -95,23 +97,31 @@ class SeriesWriter:
         TypeError, ValueError
             If it is no state that knows its space, has other functions than the one before, also in
             a series that it goes on with, an earlier time, or a function with a name that XML
-            cannot hold.
+            cannot hold; or if the last file of a series that it goes on with is damaged, or that of
+            the state write-protected.
         OSError
             If a file cannot be written; the series is what it was, or at the first state what is
             kept of it.
+
+        Warns
+        -----
+        EvolutionWarning
+            If files of a series that it goes on with are gone: they are not listed any more.
         """
         arrays = self._point_data(state)
         if self._last is None:
-            kept = [entry for entry in self._written if entry[0] < state.t]
+            kept = _there(self.path, [entry for entry in self._before if entry[0] < state.t])
             if kept:
                 _check_arrays(self.path.parent / kept[-1][1], state.t, arrays)
             self._written = kept
             self._number = _first_free(self.path.stem, (name for _, name in kept))
-            if self.path.exists():  # its list must not name files of this run for those of another
-                write_whole(self.path, _pvd(kept))
         name = f"{self.path.stem}_{self._number:05d}.vtu"
         written = [*self._written, (state.t, name)]
-        write_whole(self.path.with_name(name), _vtu(state, arrays))
+        file = output_path("the file of a state", self.path.with_name(name), (".vtu",))
+        if self._last is None and self.path.exists():
+            # Its list must not name files of this run for those of another.
+            write_whole(self.path, _pvd(kept))
+        write_whole(file, _vtu(state, arrays))
         write_whole(self.path, _pvd(written))
         self._written, self._number, self._last = written, self._number + 1, state
 
@@ -177,11 +187,17 @@ def save_series(
     ------
     TypeError, ValueError
         If `path` does not end with ".pvd", there are no states, one knows no space, has other
-        functions than the one before or an earlier time.
+        functions than the one before or an earlier time, or `go_on` meets a list, or a last file,
+        that is damaged or another one.
     FileNotFoundError, PermissionError
         If the directory does not exist, or cannot be written to.
     OSError
         If a file cannot be written; the series is complete up to the state before.
+
+    Warns
+    -----
+    EvolutionWarning
+        If files of a series that it goes on with are gone: they are not listed any more.
 
     Examples
     --------
@@ -211,12 +227,15 @@ def _functions(state: State) -> str:
 
 
 def _check_arrays(file: Path, t: float, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse to go on from a VTU file with other arrays; one that cannot be read has none."""
+    """Refuse to go on from a VTU file that cannot be read, or has other arrays."""
     try:
         listed = ElementTree.parse(file).iterfind(".//PointData/DataArray")
         before = {e.get("Name", ""): int(e.get("NumberOfComponents", 1)) for e in listed}
-    except (OSError, ElementTree.ParseError, ValueError):
-        return
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
+        raise ValueError(
+            f"the series lists {str(file)!r}, which cannot be read ({error}); start with an "
+            "earlier state, or take its line out of the list"
+        ) from error
     now = {name: values[0].size for name, values in arrays.items()}
     if now != before:
         raise ValueError(
@@ -247,6 +266,31 @@ def _first_free(stem: str, names: Iterable[str]) -> int:
     return max((int(number[1]) for number in found if number), default=-1) + 1
 
 
+def _check_one_folder(path: Path) -> None:
+    """Refuse a link to a list elsewhere: from both places, its files would have to be beside it."""
+    there = Path(os.path.realpath(path))
+    if there.parent != Path(os.path.realpath(path.parent)):
+        raise ValueError(
+            f"path must be no link into another folder, got {str(path)!r}, where it is "
+            f"{str(there)!r}: give that path, the files of the states go beside it"
+        )
+
+
+def _there(path: Path, entries: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """The entries of a series whose files are there."""
+    there = [entry for entry in entries if os.path.isfile(path.parent / entry[1])]
+    if len(there) < len(entries):
+        gone = [name for _, name in sorted({*entries} - {*there})]
+        more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
+        warnings.warn(
+            f"{str(path)!r} lists files that are gone: {', '.join(gone[:3])}{more}; the series "
+            "goes on without them",
+            EvolutionWarning,
+            stacklevel=level_outside(),
+        )
+    return there
+
+
 def _entries(path: Path) -> list[tuple[float, str]]:
     """Times and files of a series."""
     try:
@@ -258,6 +302,11 @@ def _entries(path: Path) -> list[tuple[float, str]]:
             raise ValueError("a time in it is not finite")
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ValueError(f"{str(path)!r} is damaged, or no series: {error}") from error
+    if any(e.get("part", "0") != "0" or e.get("group") for e in root.iter("DataSet")):
+        raise ValueError(
+            f"{str(path)!r} lists parts or groups, as esfem_core does not: they would be lost; "
+            "choose another path"
+        )
     return found
 
 

@@ -236,11 +236,84 @@ def test_a_series_goes_on_with_the_functions_that_it_has(tmp_path):
             ec.save_series(path, [at(1.0, fields)], normals=normals, go_on=True)
     assert (path.read_bytes(), len(os.listdir(tmp_path))) == (before, 2)
     ec.save_series(path, [at(1.0, dict(reversed(pair.items())))], go_on=True)
-    (tmp_path / "run_00001.vtu").unlink()  # nothing to compare with
-    ec.save_series(path, [at(2.0, pair)], go_on=True)
-    assert [t for t, _ in entries(path)] == [0.0, 1.0, 2.0]
     ec.save_series(path, [at(0.0, {"w": one.x[:, 0]})], go_on=True)  # nothing is kept
     assert [t for t, _ in entries(path)] == [0.0]
+
+
+def test_a_series_goes_on_without_files_that_are_gone_and_says_so(tmp_path):
+    one, path = states(1)[0], tmp_path / "run.pvd"
+    run = [ec.State(float(t), one.x, None, space=one.space) for t in range(8)]
+    ec.save_series(path, run[:6])
+    (tmp_path / "run_00001.vtu").unlink()
+    with pytest.warns(ec.EvolutionWarning, match=r"run\.pvd' .* gone: run_00001\.vtu; the series"):
+        ec.save_series(path, run[6:7], go_on=True)
+    assert [t for t, _ in entries(path)] == [0.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    for n in (0, 3, 4, 5, 6):
+        (tmp_path / f"run_{n:05d}.vtu").unlink()
+    message = r"gone: run_00000\.vtu, run_00003\.vtu, run_00004\.vtu and 1 more;"
+    with pytest.warns(ec.EvolutionWarning, match=message):
+        ec.save_series(path, run[6:], go_on=True)  # that of t = 6 is not kept
+    assert entries(path) == [
+        (2.0, "run_00002.vtu"), (6.0, "run_00003.vtu"), (7.0, "run_00004.vtu")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("data", [b"junk", b"", b"<VTKFile>", b"\x00\xff"])
+def test_a_series_does_not_go_on_from_a_file_that_is_damaged(tmp_path, data):
+    given, path = states(1), tmp_path / "run.pvd"
+    ec.save_series(path, given[:1])
+    (tmp_path / "run_00000.vtu").write_bytes(data)
+    before = path.read_bytes()
+    with pytest.raises(
+        ValueError, match=r"lists '.*run_00000\.vtu', which cannot be read \(.*line"
+    ):
+        ec.save_series(path, given[1:], go_on=True)
+    assert path.read_bytes() == before
+    ec.save_series(path, given[:1], go_on=True)  # nothing is kept
+    assert meshio.read(tmp_path / "run_00000.vtu").points.shape == given[0].x.shape
+
+
+def test_files_of_other_programs_with_parts_or_groups_lose_none(tmp_path):
+    given, path = states(1), tmp_path / "run.pvd"
+    ec.save_series(path, given[:1])
+    plain = path.read_text("utf8")
+    for attributes in ('part="1"', 'part="0" group="left"'):
+        path.write_text(text := plain.replace('part="0"', attributes), "utf8")
+        with pytest.raises(ValueError, match=r"run\.pvd' lists parts or groups"):
+            ec.SeriesWriter(path, go_on=True)
+        assert path.read_text("utf8") == text
+    for attributes in ("", 'group="" part="0"'):
+        path.write_text(plain.replace('part="0"', attributes), "utf8")
+        ec.save_series(path, given[1:], go_on=True)
+        assert [t for t, _ in entries(path)] == [0.0, 1 / 3]
+
+
+def test_a_list_is_no_link_into_another_folder(tmp_path):
+    (tmp_path / "store").mkdir()
+    link = tmp_path / "run.pvd"
+    link.symlink_to("store/real.pvd")
+    with pytest.raises(ValueError, match=r"no link .*run\.pvd', .*real\.pvd': give that path"):
+        ec.SeriesWriter(link)
+    assert not list((tmp_path / "store").iterdir())
+    (tmp_path / "folder").symlink_to("store")
+    link.unlink()
+    link.symlink_to("real.pvd")
+    for path in (tmp_path / "folder" / "run.pvd", link):
+        ec.save_series(path, states(1)[:1])
+        [(_, name)] = entries(path)
+        assert (path.resolve().parent / name).is_file()
+
+
+def test_the_file_of_a_state_that_is_write_protected_is_left_with_its_list(tmp_path, monkeypatch):
+    path, access = tmp_path / "run.pvd", os.access
+    ec.save_series(path, states(1))
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    monkeypatch.setattr(  # who runs the tests may be root, who may write anywhere
+        os, "access", lambda asked, mode: Path(asked).suffix != ".vtu" and access(asked, mode)
+    )
+    with pytest.raises(ValueError, match=r"file of a state .*run_00000\.vtu' is write-protected"):
+        ec.save_series(path, states(2))
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize(
