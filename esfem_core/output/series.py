@@ -38,6 +38,7 @@ class SeriesWriter:
 
     At any moment the PVD file lists states of one run, each in a whole file. A series that is there
     is shortened with the first state: to nothing, or with `go_on` to what comes before that state.
+    The list is rewritten with each state: of runs of 100,000 steps, write one state in many.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class SeriesWriter:
         self._normals = flag("normals", normals)
         flag("go_on", go_on)
         self._before = _entries(self.path) if go_on and self.path.exists() else []
-        self._written: list[tuple[float, str]] = []
+        self._lines = b""  # of the list, as written
         self._number = 0  # of the next file
         self._last: State | None = None
 
@@ -113,17 +114,17 @@ class SeriesWriter:
             kept = _there(self.path, [entry for entry in self._before if entry[0] < state.t])
             if kept:
                 _check_arrays(self.path.parent / kept[-1][1], state.t, arrays)
-            self._written = kept
+            self._lines = b"".join(_line(*entry) for entry in kept)
             self._number = _first_free(self.path.stem, (name for _, name in kept))
         name = f"{self.path.stem}_{self._number:05d}.vtu"
-        written = [*self._written, (state.t, name)]
+        lines = self._lines + _line(state.t, name)
         file = output_path("the file of a state", self.path.with_name(name), (".vtu",))
         if self._last is None and self.path.exists():
             # Its list must not name files of this run for those of another.
-            write_whole(self.path, _pvd(kept))
+            write_whole(self.path, _pvd(self._lines))
         write_whole(file, _vtu(state, arrays))
-        write_whole(self.path, _pvd(written))
-        self._written, self._number, self._last = written, self._number + 1, state
+        write_whole(self.path, _pvd(lines))
+        self._lines, self._number, self._last = lines, self._number + 1, state
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
         space = known_space(state)
@@ -310,13 +311,13 @@ def _entries(path: Path) -> list[tuple[float, str]]:
     return found
 
 
-def _pvd(entries: Iterable[tuple[float, str]]) -> bytes:
-    lines = [
-        f'    <DataSet timestep="{t!r}" part="0" file="{escape(name)}"/>' for t, name in entries
-    ]
-    head = f'<VTKFile type="Collection" version="1.0" byte_order="{BYTE_ORDER}">\n  <Collection>'
-    text = "\n".join(['<?xml version="1.0"?>', head, *lines, "  </Collection>", "</VTKFile>", ""])
-    return text.encode()
+def _line(t: float, name: str) -> bytes:
+    return f'    <DataSet timestep="{t!r}" part="0" file="{escape(name)}"/>\n'.encode()
+
+
+def _pvd(lines: bytes) -> bytes:
+    head = f'<VTKFile type="Collection" version="1.0" byte_order="{BYTE_ORDER}">\n  <Collection>\n'
+    return f'<?xml version="1.0"?>\n{head}'.encode() + lines + b"  </Collection>\n</VTKFile>\n"
 
 
 def _vtu(state: State, point_data: Mapping[str, NDArray[Any]]) -> bytes:

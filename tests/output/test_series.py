@@ -316,6 +316,21 @@ def test_the_file_of_a_state_that_is_write_protected_is_left_with_its_list(tmp_p
     assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+def test_the_list_of_a_long_series_is_not_formatted_again(tmp_path, monkeypatch):
+    one, formatted = states(1)[0], []
+
+    def escape(name):
+        formatted.append(name)
+        return name
+
+    series = ec.SeriesWriter(tmp_path / "run.pvd")
+    monkeypatch.setattr("esfem_core.output.series.escape", escape)
+    for t in range(20):
+        series.write(ec.State(float(t), one.x, None, space=one.space))
+    assert len([name for name in formatted if name.endswith(".vtu")]) == 20
+    assert [t for t, _ in entries(tmp_path / "run.pvd")] == list(range(20))
+
+
 @pytest.mark.parametrize(
     "text",
     [
