@@ -41,6 +41,7 @@ TRIANGLES = 20_000  # about so many are drawn, if the elements are not more
 PIECES = 12  # of a side of an element, at most
 LIGHT = {"azdeg": 315, "altdeg": 45}  # where the lamp is
 PLAIN = "#9ecae1"  # colour of a surface without a function
+NOISE = 1e-12  # of the largest value: what differs less, differs by rounding
 
 
 def plot(
@@ -226,7 +227,13 @@ def nodal_values(state: State, values: Values) -> tuple[str, Array | None]:
 def colour_range(
     colours: Sequence[Array | None], limits: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """Values of the first and the last colour."""
+    """Values of the first and the last colour: one, where values are constant but for rounding.
+
+    Examples
+    --------
+    >>> colour_range([np.array([1.0, 3.0])]), colour_range([np.array([2 - 1e-14, 2 + 1e-14])])
+    ((1.0, 3.0), (2.0, 2.0))
+    """
     if limits is not None:
         check_even("limits", limits)
         if np.ndim(limits) != 1 or len(limits) != 2:
@@ -234,9 +241,11 @@ def colour_range(
         lowest = number("limits[0]", limits[0])
         return lowest, number("limits[1]", limits[1], above=lowest)
     drawn = [c for c in colours if c is not None]
-    return min((float(c.min()) for c in drawn), default=0.0), max(
-        (float(c.max()) for c in drawn), default=1.0
-    )
+    low = min((float(c.min()) for c in drawn), default=0.0)
+    high = max((float(c.max()) for c in drawn), default=1.0)
+    if high - low <= NOISE * max(abs(low), abs(high)):
+        low = high = low + (high - low) / 2
+    return low, high
 
 
 def cube(positions: Sequence[Array]) -> Cube:

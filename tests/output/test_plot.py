@@ -14,7 +14,7 @@ from PIL import Image
 import esfem_core as ec
 from esfem_core.output import animation, style
 from esfem_core.output.curved import refined
-from esfem_core.output.pictures import check_formulas
+from esfem_core.output.pictures import check_formulas, colour_range
 
 
 def state(degree=2, refinements=1, t=0.5, **fields):
@@ -79,6 +79,22 @@ def test_colours_are_those_of_the_function_in_the_light(ax):
     assert other.figure.axes[1].get_ylabel() == "u"
     assert other.get_title() == "t = 0.5"
     assert (image(ax.figure) != image(other.figure)).any()
+
+
+@pytest.mark.parametrize("value", [1.0, -3e8, 1e-300, 0.0])
+def test_a_constant_has_one_colour_whatever_its_rounding(value, monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    signs = np.where(np.arange(66) % 2, 1, -1)
+    exact, rounded = (state(w=value * (1 + spread * signs)) for spread in (0, 1e-15))
+    pictures = []
+    for given in (exact, rounded):
+        axes = Figure().add_subplot(projection="3d")
+        pictures.append(image(ec.plot(given, "w", ax=axes).figure))
+    assert (pictures[0] == pictures[1]).all()
+    assert '"cmin":1.0,"cmax":1.0' in ec.animate([state(w=1 + 1e-15 * signs)], values="w").text
+    low, high = colour_range([1 + 1e-10 * signs])
+    assert high - low == pytest.approx(2e-10, rel=1e-5)
+    assert colour_range([exact["w"]], (0.0, 1e-20)) == (0.0, 1e-20)
 
 
 def test_values_are_a_name_a_function_of_the_state_or_numbers():
