@@ -96,7 +96,7 @@ def load(path: str | os.PathLike[str]) -> tuple[SurfaceSpace, list[State]]:
     OSError
         If there is no such file, or the system cannot read it: too many are open, or it may not be.
     TypeError, ValueError
-        If `path` is no path, or the file is damaged or another one, or of a later version.
+        If `path` is no path, or the file is damaged, compressed, another one or of a later version.
 
     Examples
     --------
@@ -270,6 +270,12 @@ def _write(path: Path, space: SurfaceSpace, states: Sequence[State]) -> None:
 def _read(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and arrays, each read to its end and its checksum."""
     with zipfile.ZipFile(io.BytesIO(data)) as file:
+        for member in file.infolist():  # a small file could make any amount of them
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(
+                    f"its array {member.filename.removesuffix('.npy')} is compressed, which save "
+                    "does not: numpy.savez(new, **numpy.load(old)) unpacks a file that you trust"
+                )
         members = {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
     arrays = {name: _array(name, data) for name, data in members.items()}
     header = json.loads(str(arrays.pop("header")))

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from itertools import islice
 from pathlib import Path
@@ -488,6 +489,25 @@ def test_no_room_is_made_for_more_than_a_file_holds(tmp_path):
             file.writestr(name, data)
     with pytest.raises(ValueError, match="array 0/x should have 1584000000000 bytes, but has 1584"):
         ec.load(path)
+
+
+def test_a_file_that_is_compressed_is_refused_unread_and_can_be_unpacked_as_told(tmp_path):
+    path, states = saved(tmp_path)
+    packed, unpacked = tmp_path / "packed.npz", tmp_path / "unpacked.npz"
+    with np.load(path) as file:
+        np.savez_compressed(packed, **file)
+    with zipfile.ZipFile(packed, "a", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("zeros.npy", bytes(100_000_000))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"packed\.npz' is .* compressed, .*savez\(new, \*\*numpy"):
+        ec.load(packed)
+    assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    tracemalloc.stop()
+    with np.load(path) as file:
+        np.savez_compressed(packed, **file)
+    np.savez(unpacked, **np.load(packed))
+    for one, other in zip(ec.load(unpacked)[1], states, strict=True):
+        same(one, other)
 
 
 def test_nothing_in_a_file_is_executed(tmp_path):
