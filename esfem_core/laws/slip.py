@@ -18,12 +18,13 @@ one,
 
 .. math:: E = \frac12 \int |\nabla X|^2 + \frac a2 \int \frac{J^2}{\bar J}
 
-with the factor J of areas and its mean, all integrals over the initial surface; nodes move along
-the surface only. With a = 0 this is the energy of harmonic maps, as in the DeTurck trick of C. M.
-Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a sphere harmonic maps are conformal, and
-keep the angles of the triangles, but not their sizes. J^2 keeps the sizes: the least deformation is
-between the two. With nodal derivatives f = dE/dx, matrices on the initial surface, s the squared
-radius of a sphere of its area, and P the projections to the tangent planes at the nodes,
+with the factor J of areas and its mean over the component, all integrals over the initial surface;
+nodes move along the surface only. With a = 0 this is the energy of harmonic maps, as in the DeTurck
+trick of C. M. Elliott, H. Fritz (IMA J. Numer. Anal. 37, 2017): from a sphere harmonic maps are
+conformal, and keep the angles of the triangles, but not their sizes. J^2 keeps the sizes: the least
+deformation is between the two. With nodal derivatives f = dE/dx, matrices on the initial surface, s
+the squared radius of a sphere of the area of the component, and P the projections to the tangent
+planes at the nodes,
 
 .. math::
 
@@ -31,7 +32,8 @@ radius of a sphere of its area, and P the projections to the tangent planes at t
     \frac{\mathrm dE}{\mathrm dt} = -\varrho\, (P f)^T B\, (P f) \le 0.
 
 B makes w smooth and slow, so that it may be explicit: all wavelengths relax with rates of about
-:math:`\varrho` to :math:`(1 + a) \varrho`.
+:math:`\varrho` to :math:`(1 + a) \varrho`, on components of every size. Nodes of several components
+move as those of each would alone.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,6 +41,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, number, one_of, real_array, shown
 from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
@@ -47,6 +50,7 @@ from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.species import Species
 from esfem_core.laws.values import Once, finite_nodal
 from esfem_core.solvers import factorise
+from esfem_core.surfaces import components
 
 __all__ = ["Elastic", "with_slip"]
 
@@ -74,7 +78,7 @@ class Elastic:
         explicit: (1 + area) times rate times the step must stay below about 1.7, 1.1, 0.8, 0.6,
         0.45, 0.37 for p = 1, ..., 6 near a sphere at the start (a run warns of more), below a
         quarter of that near a torus of radii 1 and 0.4, and below a tenth where the deformation is
-        strong.
+        strong. The size of the surface does not count, nor do other components.
     area : float
         The weight a of the areas; 0 makes the map harmonic.
 
@@ -107,6 +111,8 @@ class Elastic:
 
     def largest_step(self, order: int) -> float:
         """Step from which on nodes run away on a sphere at rest; a run warns of longer ones.
+
+        It is that of spheres of every size, and so of each component.
 
         Parameters
         ----------
@@ -146,18 +152,28 @@ class _Reference:
         at = Surface(space, space.nodes)
         self.M, self.A, self.density = at.M, at.A, at.density
         self._measure = at.density * space.rule.weights
-        area = float(at.integral(1.0))
-        self._s = area / (4 * np.pi)  # the square of the radius of a sphere as large
-        self._relax = factorise(at.matrix(1.0, self._s), space.fronts, np.float64)
+        self._component = components(space.cells[:, :3])
+        self._area = np.bincount(self._component, self._measure.sum(axis=1))
+        share = self._area / self._area.sum()
+        # Of each node, the squared radius of a sphere as large as its component.
+        self._s = np.empty(len(space.nodes))
+        s = float(at.integral(1.0)) * share / (4 * np.pi)
+        self._s[space.cells] = s[self._component, None]
+        self._relax = factorise(_sum(at.M, self._s, at.A), space.fronts, np.float64)
         self._smoothing = Smoothing(at)
 
     def relaxed(self, b: Array) -> Array:
-        """B b."""
-        return self._s * self._relax.solve(b)
+        """B b, for (N, 3)."""
+        return self._s[:, None] * self._relax.solve(b)
 
-    def mean(self, values: Array) -> float:
-        """The mean of values at the quadrature points, (T, Q)."""
-        return float(np.tensordot(self._measure, values, 2) / self._measure.sum())
+    def mean(self, values: Array) -> Array:
+        """Means over components of values at the quadrature points, (T, Q): (T, 1) or one."""
+        if len(self._area) == 1:
+            one: Array = np.tensordot(self._measure, values, 2) / self._measure.sum()
+            return one
+        sums = np.bincount(self._component, (self._measure * values).sum(axis=1))
+        means: Array = sums / self._area
+        return means[self._component, None]
 
     def smoothed(self, w: Array) -> Array:
         """Nodal values without what changes sign within each element."""
@@ -273,6 +289,12 @@ class _Slipping(Law):
 
     def slip(self, at: Surface) -> Array:
         return real_array("w(at)", self.w(at), at.x.shape)  # the run looks at the values
+
+
+def _sum(M: csr_array, s: Array, A: csr_array) -> csr_array:
+    """M + diag(s) A, of matrices with the same sparsity pattern."""
+    data = np.repeat(s, np.diff(A.indptr)) * A.data + M.data
+    return csr_array((data, A.indices, A.indptr), shape=A.shape)
 
 
 def _tangential(w: Array, n: Array) -> Array:

@@ -5,6 +5,7 @@ import weakref
 
 import numpy as np
 import pytest
+import trimesh
 from temporal import fine_run, temporal_orders
 
 import esfem_core as ec
@@ -203,6 +204,35 @@ def test_the_elastic_slip_is_what_it_is_said_to_be(area):
     w = -7 * tangential(np.linalg.solve(M / s + A, tangential(f)))
     found = ec.laws.Elastic(7.0, area)(ec.Surface(space, x, {"normal": 2 * n}))
     np.testing.assert_allclose(found, w, rtol=0, atol=1e-6 * abs(w).max())
+
+
+SMALL, CENTRE = 0.1, np.array([4.0, 0, 0])  # a sphere of this radius beside the unit sphere
+
+
+@pytest.mark.parametrize("slip", ["elastic", "harmonic"])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_components_slip_as_each_does_alone(slip, degree):
+    """Both are sheared alike, each in its own unit of length."""
+
+    def shear(x, t):
+        size = np.where(x[:, :1] > 2, SMALL, 1.0)
+        y = (x - CENTRE * (size < 1)) / size
+        return size * 0.5 * np.sin(y[:, [1, 2, 0]])
+
+    large = ec.sphere("icosahedron", 3 - degree)
+    small = large.copy().apply_scale(SMALL).apply_translation(CENTRE)
+    law = ec.laws.with_slip(ec.laws.Prescribed(velocity=shear), slip)
+
+    def run(tri):
+        space = ec.SurfaceSpace(tri, degree)
+        states = ec.evolve(space, ec.Problem(species={}, law=law), 2, 0.02, 0.6, solver="direct")
+        return final(states).x, space.nodes
+
+    x, nodes = run(trimesh.util.concatenate([small, large]))
+    for mesh, size, of_mesh in ((small, SMALL, nodes[:, 0] > 2), (large, 1.0, nodes[:, 0] < 2)):
+        alone, same = run(mesh)
+        np.testing.assert_array_equal(nodes[of_mesh], same)
+        np.testing.assert_allclose(x[of_mesh], alone, rtol=0, atol=1e-11 * size)
 
 
 STRETCHED = ec.Surface(COARSE, COARSE.nodes * [1.5, 1, 0.7])
