@@ -1,11 +1,14 @@
 """A warning, at the call, of numbers so large for the surface that rounding takes what is kept."""
 
+import re
 import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 import esfem_core as ec
+from esfem_core.solvers import DirectSolver
 
 SIZE = 1e-5  # of a cell in metres
 TRI = ec.sphere("icosahedron", 1)
@@ -141,6 +144,73 @@ def test_the_advice_against_a_penalty_is_right():
     v, nothing = at_the_end(ec.Species(1.0, fixed=(cap, 2.0)), "lagged", 1)
     assert nothing == []
     assert (v[cap] == 2).all()
+
+
+def two_spheres(radius, refinements=(2, 2)):
+    """A unit sphere and a small one beside it."""
+    large, small = (ec.sphere("icosahedron", n) for n in refinements)
+    small.apply_scale(radius).apply_translation([2.0, 0, 0])
+    return ec.SurfaceSpace(trimesh.util.concatenate([large, small]))
+
+
+def growing(radius):
+    """Both spheres grow and cool, on scales of the small one."""
+    u = ec.Species(
+        lambda x: 2 + np.where(x[:, 0] > 1.5, x[:, 1] / radius, 0),
+        lambda at: -0.3 * at.u,
+        diffusivity=0.3 * radius**2,
+    )
+    square = radius**2
+    law = Regularised(0.01 * square, 0.02 * square, lambda at: 0.1 * radius * at.u)
+    return ec.Problem(species={"u": u}, law=law)
+
+
+def told(space, problem, solver):
+    """The last state, and what a run says of components."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        *_, last = ec.evolve(space, problem, 3, 0.05, 0.5, solver=solver)
+    assert all(one.filename == __file__ for one in found)
+    return last, [str(one.message) for one in found if "component" in str(one.message)]
+
+
+@pytest.mark.parametrize("solver", ["lagged", "cholmod"])
+@pytest.mark.parametrize(
+    ("radius", "refinements", "least", "most"),
+    [(1e-1, (2, 2), 0, 1e-8), (1e-3, (2, 2), 1e-6, 1e-4), (1e-3, (3, 0), 1e-7, 2e-5)],
+)
+def test_a_small_component_is_warned_of_where_it_loses_digits(
+    solver, radius, refinements, least, most
+):
+    if solver == "cholmod":
+        pytest.importorskip("cholespy")
+    space = two_spheres(radius, refinements)
+    there = space.nodes[:, 0] > 1.5
+    exact, nothing = told(space, growing(radius), "direct")
+    last, said = told(space, growing(radius), solver)
+    assert nothing == []
+    off = abs(last.u - exact.u)[there].max() / abs(exact.u[there]).max()
+    assert least < off < most
+    assert len(said) == (radius < 1e-2)
+    for text in said:
+        assert re.match("component 1 of the surface has (1e-06|8e-07) of its area, so little", text)
+        assert f"solver={solver!r} leaves a residual" in text
+        lost = float(re.search(r"share of about (\S+) of the values there", text)[1])
+        assert off < lost < 20 * off
+
+
+def test_what_a_small_component_cannot_lose_is_not_warned_of():
+    """Where no system is solved, and where triangles are small but the surface is one."""
+    space, species = two_spheres(1e-3), {"u": ec.Species(1.0)}
+    assert told(space, ec.Problem(species={}, law=REST), "lagged")[1] == []
+    assert len(told(space, ec.Problem(species=species, law=REST), "lagged")[1]) == 1
+    assert told(space, ec.Problem(species=species, law=REST), DirectSolver)[1] == []
+    tri = ec.sphere("icosahedron", 2)
+    corner = tri.faces[0]
+    x = tri.vertices.copy()
+    x[corner] = x[corner].mean(axis=0) + 1e-3 * (x[corner] - x[corner].mean(axis=0))
+    one = ec.SurfaceSpace(trimesh.Trimesh(x, tri.faces, process=False))
+    assert told(one, ec.Problem(species=species, law=REST), "lagged")[1] == []
 
 
 def everywhere(size):
