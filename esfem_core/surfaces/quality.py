@@ -28,7 +28,8 @@ class Quality:
     mean_ratio, min_ratio : float
         Ratio of radii 2 r_in/r_out, 1 for equilateral triangles, 0 for degenerate ones.
     h_min, h_mean, h_max : float
-        Lengths of the edges.
+        Lengths of the edges. The mean is over the sides of all triangles: an edge at a boundary
+        counts half of an inner one.
     """
 
     vertices: int

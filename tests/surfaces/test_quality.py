@@ -31,6 +31,13 @@ def test_angles_lengths_and_ratios_agree_with_trimesh_and_the_radii():
     )
 
 
+def test_at_a_boundary_an_edge_counts_half_in_the_mean():
+    """A square of two triangles: its diagonal is a side of both."""
+    corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    q = ec.mesh_quality(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
+    assert q.h_mean == pytest.approx((4 * 1 + 2 * np.sqrt(2)) / 6)
+
+
 def test_a_notebook_shows_a_table():
     q = ec.mesh_quality(ec.sphere("icosahedron", 2))
     assert "smallest angle: 54." in str(q)
