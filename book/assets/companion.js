@@ -75,7 +75,24 @@
     document.querySelectorAll("span.math").forEach(tie);
   }
   const formulas = window.MathJax && MathJax.startup && MathJax.startup.promise;
-  (formulas || Promise.resolve()).then(ready);
+
+  // A browser goes to the place that a link names before formulas have their height: once more
+  // then, if the reader has not gone on by himself.
+  let gone = false;
+  ["wheel", "touchmove", "pointerdown", "keydown"].forEach((kind) =>
+    addEventListener(kind, () => { gone = true; }, { passive: true }),
+  );
+  addEventListener("hashchange", () => { gone = false; });
+  function again() {
+    const place = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (place && !gone) place.scrollIntoView({ behavior: "instant" });
+  }
+  const loaded = new Promise((done) => {
+    if (document.readyState === "complete") done();
+    else addEventListener("load", done);
+  });
+  Promise.resolve(formulas).then(ready).then(again);
+  Promise.all([formulas, loaded, document.fonts.ready]).then(again);
 
   // Paper is white.
   const page = document.documentElement;

@@ -120,8 +120,10 @@ class Reader:
         )
 
     def open(self, page):
-        """Open a page of the book and wait until its formulas are set."""
-        self.tab.goto((HTML / page).as_uri(), wait_until="load", timeout=60_000)
+        """Open a page of the book, or a place in it, and wait until its formulas are set."""
+        path, _, place = str(page).partition("#")
+        address = f"{(HTML / path).as_uri()}#{place}".removesuffix("#")
+        self.tab.goto(address, wait_until="load", timeout=60_000)
         self.tab.evaluate("() => window.MathJax && MathJax.startup && MathJax.startup.promise")
         return self.tab
 

@@ -62,6 +62,19 @@ def test_a_figure_is_that_of_the_theme_and_opens_alone(scheme, reader):
     assert behind == {"light": "rgba(0, 0, 0, 0)", "dark": "rgb(18, 18, 18)"}[scheme]
 
 
+TOP = "id => document.getElementById(id).getBoundingClientRect().y"
+
+
+def test_a_link_lands_where_it_points_to_when_formulas_are_set(reader):
+    name = "check-LMV-L3_2-eta"
+    one = reader(width=390, height=844)
+    tab = one.open(f"book/05_g_stability.html#{name}")
+    one.rest()
+    assert 0 <= tab.evaluate(TOP, name) <= 150
+    tab.mouse.wheel(0, -400)
+    tab.wait_for_function(f"() => ({TOP})('{name}') > 300")
+
+
 @on_chromium
 def test_paper_shows_solutions_and_whole_lines_of_code(reader):
     tab = reader().open("book/05_g_stability.html")
