@@ -1,5 +1,7 @@
 """Figures for the dark theme: greys turned round, lines bright enough, colour maps as they are."""
 
+from types import SimpleNamespace
+
 import figures
 import pytest
 from matplotlib.figure import Figure
@@ -45,10 +47,16 @@ def test_colours_of_the_palette_are_bright_enough_and_stay_apart():
     assert len(set(lighter)) == len(COLOURS)
 
 
-def test_a_page_shows_one_of_two_pictures_and_links_to_it():
-    name = "../_images/" + 64 * "a"
+def test_a_page_shows_one_of_two_pictures_and_links_to_it(drawn, tmp_path):
+    file = 64 * "a"
+    name = f"../_images/{file}"
     context = {"body": f'<p><img alt="A line." src="{name}.svg" /></p>'}
-    figures.link(None, "page", "page.html", context, None)
+    builder = SimpleNamespace(images={"figure.svg": f"{file}.svg"})
+    figures.link(
+        SimpleNamespace(srcdir=tmp_path, builder=builder), "page", "page.html", context, None
+    )
     assert f'esfem-light" href="{name}.svg"' in context["body"]
     assert f'esfem-dark" href="{name}-dark.svg"' in context["body"]
     assert context["body"].count('alt="A line."') == 2
+    # 6.4 by 4.8 inches: what has its size keeps what is below in its place until it is loaded.
+    assert context["body"].count('width="614" height="461"') == 2

@@ -2,7 +2,8 @@
 
 matplotlib draws black on white. Each of its files gets a sibling for the dark theme, in which greys
 are turned round between the colours of that theme and lines that would be too dark are lighter. A
-page shows one of the two, and a click or a tap opens it alone, where a phone can magnify it.
+page shows one of the two, and a click or a tap opens it alone, where a phone can magnify it. It has
+its size before it is loaded, so that what is below stays where it is.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from sphinx.application import Sphinx
 IMAGE = re.compile(r'<img (?P<rest>[^>]*)src="(?P<file>[^"]*_images/[0-9a-f]{64})\.svg"')
 COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 STROKE = re.compile(r"stroke: (#[0-9a-f]{6})\b")
+SIZE = re.compile(r'<svg [^>]*\bwidth="([\d.]+)pt" height="([\d.]+)pt"')
 BEHIND = re.compile(r'(<g id="patch_\d+">\s*<path [^>]*style="fill: )#ffffff')
 Rgb = tuple[float, ...]
 PAPER, INK = (18, 18, 18), (206, 214, 221)  # of the theme when it is dark
 CONTRAST = 4.5  # of a line with the paper, at least
+POINT = 4 / 3  # in pixels of CSS
 
 
 def rgb(colour: str) -> Rgb:
@@ -68,15 +71,26 @@ def dark(svg: str) -> str:
     return svg.replace("<svg ", root, 1)
 
 
+def size(svg: str) -> str:
+    """Return width and height as an image on a page states them, in pixels."""
+    found = SIZE.search(svg)
+    if not found:
+        return ""
+    width, height = (round(POINT * float(points)) for points in found.groups())
+    return f'width="{width}" height="{height}" '
+
+
 def link(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
     """Show the picture of the theme, and open it alone when asked."""
+    paths = {name: Path(app.srcdir, path) for path, name in app.builder.images.items()}
 
     def both(match: re.Match[str]) -> str:
         rest, file = match["rest"], match["file"]
+        room = size(paths[f"{file.rpartition('/')[2]}.svg"].read_text("utf8"))
         # The theme puts images on white cards, unless they are of the class "dark-light".
         return "".join(
             f'<a class="esfem-full esfem-{kind}" href="{name}" title="the picture alone">'
-            f'<img {rest}src="{name}" class="dark-light" {more}/></a>'
+            f'<img {rest}src="{name}" class="dark-light" {room}{more}/></a>'
             for kind, name, more in (
                 ("light", f"{file}.svg", ""),
                 ("dark", f"{file}-dark.svg", 'loading="lazy" '),

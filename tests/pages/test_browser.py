@@ -99,6 +99,11 @@ def test_every_picture_has_a_caption_and_words_for_those_who_do_not_see_it(page)
     assert bare == []
 
 
+def test_figures_have_their_size_before_they_are_loaded(page):
+    figures = soup(page).select("a.esfem-full img")
+    assert [p["src"] for p in figures if not (p.get("width") and p.get("height"))] == []
+
+
 DRAWN = ".esfem-animation.esfem-drawn"
 
 
