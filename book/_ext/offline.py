@@ -2,7 +2,8 @@
 
 The pages are read from disk and without a network, where a live kernel cannot be reached. The
 theme's icons come from a script of 1.5 MB; ``icons.css`` draws the few that are used. Some controls
-have a name for screen readers that is none, or another than the one that is seen.
+have a name for screen readers that is none, or another than the one that is seen. What pops up at a
+link to a chapter would end with the colon before a list.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import re
 import shutil
 from pathlib import Path
 
+import sphinx_tippy
+from bs4 import Tag
 from sphinx.application import Sphinx
 
 PUT_RIGHT = [
@@ -35,6 +38,19 @@ def drop_thebe(app: Sphinx, config: object) -> None:
     app.registry.css_files = [f for f in app.registry.css_files if f[0] != "sphinx-thebe.css"]
 
 
+tip_of = sphinx_tippy._get_header_html
+
+
+def whole_tip(header: Tag, start: bool = True) -> str:
+    """Return heading and first paragraph, and the list that it announces."""
+    tip: str = tip_of(header, start)
+    first = header.find_next_sibling("p")
+    listed = first and first.text.rstrip().endswith(":") and first.find_next_sibling(True)
+    if listed and listed.name in ("ul", "ol") and tip.endswith(str(first)):
+        tip += str(listed)
+    return tip
+
+
 def put_right(app: Sphinx, exception: Exception | None) -> None:
     """Change the finished pages."""
     for page in Path(app.outdir).rglob("*.html"):
@@ -48,6 +64,7 @@ def put_right(app: Sphinx, exception: Exception | None) -> None:
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     app.set_html_assets_policy("always")  # tooltips may hold formulas where the page has none
+    sphinx_tippy._get_header_html = whole_tip
     app.connect("config-inited", drop_thebe)
     app.connect("build-finished", put_right)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
