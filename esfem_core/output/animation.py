@@ -15,7 +15,9 @@ from typing import Any
 
 from esfem_core.checks import iterable, output_path, whole_number
 from esfem_core.output.pictures import (
+    COORDINATES,
     Values,
+    add_bar,
     check_formulas,
     check_text,
     colour_range,
@@ -185,11 +187,11 @@ def _film(
 
     def frame(i: int) -> Any:
         ax.clear()
-        ax.set_title(f"{title}   t = {times[i]}".strip())
+        ax.set(title=f"{title}   t = {times[i]}".strip(), **COORDINATES)
         return draw(ax, shots[i].space, shots[i].x, shots[i].colours, shades, room)
 
     if (scale := frame(0)) is not None:
-        figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1, label=label)
+        add_bar(ax, scale, label)
     film = FuncAnimation(figure, frame, frames=len(shots), init_func=lambda: None)
     with TemporaryDirectory() as folder:
         made = Path(folder, f"film{file.suffix.lower()}")

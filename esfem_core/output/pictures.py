@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 __all__ = [
+    "COORDINATES",
     "PLAIN",
     "Values",
+    "add_bar",
     "check_formulas",
     "colour_range",
     "cube",
@@ -42,6 +44,7 @@ PIECES = 12  # of a side of an element, at most
 LIGHT = {"azdeg": 315, "altdeg": 45}  # where the lamp is
 PLAIN = "#9ecae1"  # colour of a surface without a function
 NOISE = 1e-12  # of the largest value: what differs less, differs by rounding
+COORDINATES = {f"{axis}label": f"$x_{i}$" for i, axis in enumerate("xyz", start=1)}
 
 
 def plot(
@@ -103,7 +106,7 @@ def plot(
     if ax is None:
         from matplotlib import pyplot
 
-        ax = pyplot.figure(figsize=(6, 5)).add_subplot(projection="3d")
+        ax = pyplot.figure(figsize=(6, 5)).add_subplot(projection="3d", **COORDINATES)
     elif not hasattr(ax, "add_collection3d"):
         raise TypeError(
             'ax must have three dimensions, fig.add_subplot(projection="3d"), got '
@@ -112,9 +115,17 @@ def plot(
     scale = draw(ax, space, state.x, colours, shades, cube([state.x]))
     ax.set_title(title)
     if scale is not None:
-        bar = ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1)
-        bar.set_label(label, rotation=0 if len(label) == 1 else 90)  # a u on its side is no u
+        add_bar(ax, scale, label)
     return ax
+
+
+def add_bar(ax: Axes3D, scale: Any, label: str) -> None:
+    """Set a colour bar beside axes."""
+    bar = ax.figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.1)
+    if len(label) == 1:  # a u on its side is no u; it begins beside the numbers
+        bar.set_label(label, rotation=0, ha="left", va="center", labelpad=6)
+    else:
+        bar.set_label(label)
 
 
 def check_text(name: str, text: str) -> None:

@@ -97,6 +97,24 @@ def test_a_constant_has_one_colour_whatever_its_rounding(value, monkeypatch):
     assert colour_range([exact["w"]], (0.0, 1e-20)) == (0.0, 1e-20)
 
 
+def test_a_letter_at_the_colour_bar_is_upright_and_beside_the_numbers():
+    ax = Figure().add_subplot(projection="3d")
+    ec.plot(state(), "u", ax=ax)
+    bar = ax.figure.axes[1]
+    ax.figure.draw_without_rendering()
+    label = bar.yaxis.label
+    assert label.get_rotation() == 0
+    numbers = [text.get_window_extent() for text in bar.get_yticklabels()]
+    assert label.get_window_extent().x0 > max(box.x1 for box in numbers) + 2
+
+
+def test_axes_of_its_own_have_the_names_of_the_coordinates():
+    own, given = ec.plot(state()), Figure().add_subplot(projection="3d", xlabel="east")
+    assert [own.get_xlabel(), own.get_ylabel(), own.get_zlabel()] == ["$x_1$", "$x_2$", "$x_3$"]
+    assert ec.plot(state(), ax=given).get_xlabel() == "east"
+    own.figure.clear()
+
+
 def test_values_are_a_name_a_function_of_the_state_or_numbers():
     given = state(w=np.arange(66.0))
     pictures = []
