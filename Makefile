@@ -72,7 +72,7 @@ ifneq ($(filter-out 1,$(STALE)),)
 $(error STALE must be 1 or nothing, got $(STALE))
 endif
 
-full: $(STAMP) ## the papers' own resolution, a good hour; interrupt at will, start again to go on (STALE=1 renews)
+full: $(STAMP) ## the papers' own resolution, an hour and a half; interrupt at will, start again to go on (STALE=1 renews)
 	$(BIN)/python -m esfem_core.companion.experiments $(if $(STALE),--stale)
 
 fuzz: $(STAMP) ## generated arguments for all functions that scripts call; writes the table of the book
