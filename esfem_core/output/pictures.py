@@ -238,12 +238,14 @@ def nodal_values(state: State, values: Values) -> tuple[str, Array | None]:
 def colour_range(
     colours: Sequence[Array | None], limits: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """Values of the first and the last colour: one, where values are constant but for rounding.
+    """Values of the first and the last colour; those that agree to twelve digits have one colour.
 
     Examples
     --------
-    >>> colour_range([np.array([1.0, 3.0])]), colour_range([np.array([2 - 1e-14, 2 + 1e-14])])
-    ((1.0, 3.0), (2.0, 2.0))
+    >>> colour_range([np.array([1.0, 3.0]), np.array([2.0, 4.0])])
+    (1.0, 4.0)
+    >>> colour_range([np.full(3, 2.0) + [0, 1e-15, 0]]), colour_range([np.zeros(3)])
+    ((1.0, 3.0), (-0.5, 0.5))
     """
     if limits is not None:
         check_even("limits", limits)
@@ -254,9 +256,10 @@ def colour_range(
     drawn = [c for c in colours if c is not None]
     low = min((float(c.min()) for c in drawn), default=0.0)
     high = max((float(c.max()) for c in drawn), default=1.0)
-    if high - low <= NOISE * max(abs(low), abs(high)):
-        low = high = low + (high - low) / 2
-    return low, high
+    if high - low > NOISE * max(abs(low), abs(high)):
+        return low, high
+    beside = abs(low) / 2 or 0.5  # a colour bar shows its one value in the middle
+    return low - beside, low + beside
 
 
 def cube(positions: Sequence[Array]) -> Cube:

@@ -109,6 +109,18 @@ def film_of(text):
     return json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")[1]
 
 
+@pytest.mark.parametrize("u", [2.0, 1 / 3, -1e-9, 0.0])
+def test_one_value_but_for_rounding_has_the_colour_that_the_bar_gives_it(run, monkeypatch, u):
+    """It had the first colour, with the value in the middle of the bar, or rounding was drawn."""
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    noise = u * (1 + 1e-15 * np.arange(len(run[0].x)) / len(run[0].x))
+    state = ec.State(0.0, run[0].x, u=noise, space=run[0].space)
+    trace = film_of(ec.animate([state]).text)["trace"]
+    low, high = ec.plot(state).figure.axes[1].get_ylim()
+    assert (low, high) == pytest.approx((trace["cmin"], trace["cmax"]), rel=1e-12, abs=0)
+    assert (u - low) / (high - low) == pytest.approx(0.5)
+
+
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     film = film_of(ec.animate(run).text)
