@@ -11,6 +11,7 @@ import base64
 import html
 import io
 import json
+import math
 import os
 from collections.abc import Sequence
 from hashlib import sha256
@@ -32,6 +33,8 @@ Range = tuple[float, float]
 
 LONGEST = 60_000  # milliseconds of a frame
 BEYOND = 50  # ranges of colours beside their own in which values are told
+TICKS = 6  # steps between numbers at a colour bar, at most
+ROOM = 36  # characters in all of these numbers, with two for each gap, that a phone has room for
 
 # fmt: off
 SURFACE: Parts = {
@@ -44,7 +47,7 @@ SURFACE: Parts = {
 }
 COLOUR_BAR: Parts = {
     "orientation": "h", "thickness": 10, "len": 0.6,
-    "y": 1.0, "yanchor": "bottom", "tickformat": ".2~g",
+    "y": 1.0, "yanchor": "bottom", "tickmode": "array",
 }
 LAYOUT: Parts = {
     "margin": {"l": 0, "r": 0, "t": 60, "b": 5}, "paper_bgcolor": "rgba(0,0,0,0)",
@@ -170,12 +173,10 @@ def _data(shots: Sequence[Shot], room: Cube, shades: Range) -> Parts:
     low, high = shades
     # Farther off, values count as these, so that those that have colours of their own stay apart.
     least, most = low - BEYOND * (high - low), high + BEYOND * (high - low)
-    values = np.clip(colour_range([shot.colours for shot in shots]), least, most)
-    ranges = [*sides, tuple(values.tolist())]
-    frames = [
-        [_packed(values, r) for values, r in zip(_columns(shot), ranges, strict=True)]
-        for shot in shots
-    ]
+    columns = [_columns(shot) for shot in shots]
+    ends = min(c[-1].min() for c in columns), max(c[-1].max() for c in columns)
+    ranges = [*sides, tuple(np.clip(ends, least, most).tolist())]
+    frames = [[_packed(*pair) for pair in zip(c, ranges, strict=True)] for c in columns]
     changes = any(shot.space is not shots[0].space for shot in shots)
     return {
         "ranges": ranges,
@@ -203,13 +204,74 @@ def _triangles(space: SurfaceSpace) -> list[str]:
 
 def _trace(shades: Range, label: str, *, plain: bool) -> Parts:
     """Colours and light."""
+    values, texts = ticks_of(shades)
+    ticks = {"tickvals": values, "ticktext": [text.replace("-", "\u2212") for text in texts]}
+    says = f"{html.escape(label)} = %{{intensity:.{_digits(*shades) + 1}g}}<extra></extra>"
     text = {
-        "hovertemplate": f"{html.escape(label)} = %{{intensity:.4g}}<extra></extra>",
-        "colorbar": {"title": {"text": html.escape(label), "side": "top"}} | COLOUR_BAR,
+        "hovertemplate": says,
+        "colorbar": {"title": {"text": html.escape(label), "side": "top"}} | COLOUR_BAR | ticks,
     }
     one_colour = {"colorscale": [[0, PLAIN], [1, PLAIN]], "showscale": False, "hoverinfo": "skip"}
     shown = {"cmin": shades[0], "cmax": shades[1]} | SURFACE
     return shown | (one_colour if plain else text)
+
+
+def ticks_of(shades: Range) -> tuple[list[float], list[str]]:
+    """Round values between two, and in words with all their digits; fewer where words are long.
+
+    Examples
+    --------
+    >>> ticks_of((290.0, 310.0))[1]
+    ['290', '295', '300', '305', '310']
+    >>> ticks_of((0.996, 1.004))[1]
+    ['0.996', '0.998', '1', '1.002', '1.004']
+    >>> ticks_of((3e8 - 1, 3e8 + 1))
+    ([299999999.0, 300000000.0, 300000001.0], ['299999999', '300000000', '300000001'])
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = shades
+    if high - low > 1e306:  # matplotlib cannot count there
+        return [], []
+    beyond = 1e-9 * (high - low)  # by rounding
+    choices: list[tuple[list[float], list[str]]] = []
+    for most in range(TICKS, 1, -1):
+        steps = np.array(MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(low, high))
+        values = steps[(low - beyond <= steps) & (steps <= high + beyond)].tolist()
+        if len(values) > 1 or not choices:
+            choices.append((values, _told(values)))
+    fitting = (c for c in choices if sum(len(text) + 2 for text in c[1]) <= ROOM)
+    return next(fitting, choices[-1])
+
+
+def _told(values: Sequence[float]) -> list[str]:
+    """Evenly spaced values in words that are no others: the shortest ones.
+
+    Examples
+    --------
+    >>> _told([-0.5, 0.0, 0.1 + 0.4]), _told([0.0, 5e5, 1e6]), _told([9995.0, 10000.0, 10005.0])
+    (['-0.5', '0', '0.5'], ['0', '5e+05', '1e+06'], ['9995', '10000', '10005'])
+    """
+    near = 1e-6 * max(np.diff(values), default=0.0)
+    each = ([f"{value:.{digits}g}" for value in values] for digits in range(17, 0, -1))
+    right = (
+        texts
+        for texts in each
+        if all(abs(float(text) - v) <= near for text, v in zip(texts, values, strict=True))
+    )
+    return min(right, key=lambda texts: sum(map(len, texts)))
+
+
+def _digits(low: float, high: float) -> int:
+    """How many tell values between two apart by a hundredth; those of one value are three.
+
+    Examples
+    --------
+    >>> [_digits(*pair) for pair in ((-1.0, 1.0), (290.0, 310.0), (1.0, 1.0 + 3e-7), (0.0, 0.0))]
+    [3, 4, 9, 3]
+    """
+    share = min((high - low) / (max(abs(low), abs(high)) or 1.0), 1.0)
+    return max(3, 2 - math.floor(math.log10(share))) if share > 1e-12 else 3
 
 
 def _scene(room: Cube) -> Parts:
@@ -270,4 +332,5 @@ def _course(texts: Sequence[str], values: Array, times: Sequence[str]) -> str:
 
 def _span(low: float, high: float) -> str:
     least = 1e-3 * max(abs(low), abs(high))  # what is less is nothing beside it
-    return " and ".join(f"{v if abs(v) > least else 0:.3g}" for v in (low, high))
+    digits = _digits(low, high)
+    return " and ".join(f"{v if abs(v) > least else 0:.{digits}g}" for v in (low, high))

@@ -109,6 +109,53 @@ def film_of(text):
     return json.loads(f"[{text[text.rindex('})(') + 3 : text.rindex(');</script>')]}]")[1]
 
 
+SPANS = [
+    (-1, 1), (0, 0.35), (290, 310), (36.2, 37.8), (0.996, 1.004), (1 - 1e-7, 1 + 1e-7),
+    (1 - 1e-11, 1 + 1e-11), (3e8 - 1, 3e8 + 1), (999e3, 1001e3), (-1e-5, 2e-5), (2, 2), (0, 0),
+    (-4e305, 4e305), (0.7, 13e4),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("low", "high"), SPANS)
+def test_numbers_at_a_colour_bar_are_those_of_their_places_and_differ(run, monkeypatch, low, high):
+    """Between 290 and 310 they were 2.9e+2, 3e+2, 3e+2, 3.1e+2 and 3.1e+2."""
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    u = low + (high - low) * (run[0].u + 1) / 2
+    trace = film_of(ec.animate([ec.State(0.0, run[0].x, u=u, space=run[0].space)]).text)["trace"]
+    values, texts = (trace["colorbar"][key] for key in ("tickvals", "ticktext"))
+    assert 2 <= len(set(texts)) == len(values) <= 7
+    first, last = trace["cmin"], trace["cmax"]
+    shown = [float(text.replace("\N{MINUS SIGN}", "-")) for text in texts]
+    assert np.abs(np.subtract(shown, values)).max() <= 1e-5 * (last - first)
+    assert (
+        first - 1e-8 * (last - first) <= min(values) < max(values) <= last + 1e-8 * (last - first)
+    )
+    assert sum(len(text) + 2 for text in texts) <= 40
+
+
+def test_values_of_all_sizes_that_there_are_have_a_picture_without_numbers(run, monkeypatch):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    trace = film_of(ec.animate(run, limits=(-8e307, 8e307)).text)["trace"]
+    assert trace["colorbar"]["ticktext"] == []
+
+
+def test_values_in_words_and_under_the_pointer_have_the_digits_that_tell_them_apart(
+    run, monkeypatch
+):
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    for low, high, words, digits in [
+        (-1, 1, "-1 and 1", 4),
+        (0.5, 1, "0.5 and 1", 4),
+        (0.996, 1.004, "0.996 and 1.004", 6),
+        (3e8 - 1, 3e8 + 1, "299999999 and 300000001", 12),
+        (1 / 3, 1 / 3 + 1e-15, "0.333 and 0.333", 4),
+    ]:
+        u = low + (high - low) * (run[0].u + 1) / 2
+        text = ec.animate([ec.State(0.0, run[0].x, u=u, space=run[0].space)]).text
+        assert f"u lies between {words} all the time" in text
+        assert f"%{{intensity:.{digits}g}}" in text
+
+
 @pytest.mark.parametrize("u", [2.0, 1 / 3, -1e-9, 0.0])
 def test_one_value_but_for_rounding_has_the_colour_that_the_bar_gives_it(run, monkeypatch, u):
     """It had the first colour, with the value in the middle of the bar, or rounding was drawn."""
