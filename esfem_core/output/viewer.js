@@ -14,7 +14,7 @@
 
   const bytes = (text) => Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0)).buffer;
   const numbers = (text, [low, high]) =>
-    Float32Array.from(new Uint16Array(bytes(text)), (n) => low + (n / 65535) * (high - low));
+    Float64Array.from(new Uint16Array(bytes(text)), (n) => low + (n / 65535) * (high - low));
 
   // What changes from one frame to the next, as plotly wants it.
   function moving(k) {

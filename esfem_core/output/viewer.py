@@ -97,7 +97,8 @@ def viewer(
     """Show frames as a moving surface with a play button and a time slider.
 
     Each element is drawn as k² flat triangles between its nodes. Positions and values have 16 bits
-    each, which is finer than a screen. The identifier of the picture is made of what it shows:
+    each, which is finer than a screen. Positions are those beside the centre of the room, since
+    graphics cards have seven digits. The identifier of the picture is made of what it shows:
     pictures that differ have different ones, which are the same whenever the page is built.
 
     Parameters
@@ -123,7 +124,7 @@ def viewer(
         If `duration` is not a positive integer, or `limits` not two numbers that increase.
     """
     duration = whole_number("duration", duration, 1, LONGEST)
-    room = cube([shot.x for shot in shots])
+    room = _, reach = cube([shot.x for shot in shots])
     shades = colour_range([shot.colours for shot in shots], limits)
     times = times_of([shot.t for shot in shots])
     place = os.environ.get("ESFEM_PLOTLY_JS") or None
@@ -132,7 +133,7 @@ def viewer(
         "times": times,
         "duration": duration,
         "trace": _trace(shades, label, plain=shots[0].colours is None),
-        "layout": LAYOUT | {"scene": _scene(room)},
+        "layout": LAYOUT | {"scene": _scene(reach)},
         **_data(shots, room, shades),
     }
     script = resources.files("esfem_core.output").joinpath("viewer.js").read_text("utf8")
@@ -169,13 +170,12 @@ def _plotly() -> str:
 def _data(shots: Sequence[Shot], room: Cube, shades: Range) -> Parts:
     """Positions, values and triangles as text; triangles of a later frame if the space changes."""
     centre, reach = room
-    sides = [(middle - reach, middle + reach) for middle in centre.tolist()]
     low, high = shades
     # Farther off, values count as these, so that those that have colours of their own stay apart.
     least, most = low - BEYOND * (high - low), high + BEYOND * (high - low)
-    columns = [_columns(shot) for shot in shots]
+    columns = [_columns(shot, centre) for shot in shots]
     ends = min(c[-1].min() for c in columns), max(c[-1].max() for c in columns)
-    ranges = [*sides, tuple(np.clip(ends, least, most).tolist())]
+    ranges = [*3 * [(-reach, reach)], tuple(np.clip(ends, least, most).tolist())]
     frames = [[_packed(*pair) for pair in zip(c, ranges, strict=True)] for c in columns]
     changes = any(shot.space is not shots[0].space for shot in shots)
     return {
@@ -185,9 +185,9 @@ def _data(shots: Sequence[Shot], room: Cube, shades: Range) -> Parts:
     }
 
 
-def _columns(shot: Shot) -> list[Array]:
+def _columns(shot: Shot, centre: Array) -> list[Array]:
     colours = np.zeros(len(shot.x)) if shot.colours is None else shot.colours
-    return [*shot.x.T, colours]
+    return [*(shot.x - centre).T, colours]
 
 
 def _packed(values: Array, within: Range) -> str:
@@ -274,14 +274,11 @@ def _digits(low: float, high: float) -> int:
     return max(3, 2 - math.floor(math.log10(share))) if share > 1e-12 else 3
 
 
-def _scene(room: Cube) -> Parts:
+def _scene(reach: float) -> Parts:
     """A cube with room for the surface at all times."""
-    centre, reach = room
-    axes = {
-        f"{name}axis": AXIS | {"range": [middle - 1.02 * reach, middle + 1.02 * reach]}
-        for name, middle in zip("xyz", centre.tolist(), strict=True)
-    }
-    return axes | SCENE
+    return {
+        f"{name}axis": AXIS | {"range": [-1.02 * reach, 1.02 * reach]} for name in "xyz"
+    } | SCENE
 
 
 def _poster(shots: Sequence[Shot], times: Sequence[str], room: Cube, shades: Range) -> str:

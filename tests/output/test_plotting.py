@@ -168,6 +168,19 @@ def test_one_value_but_for_rounding_has_the_colour_that_the_bar_gives_it(run, mo
     assert (u - low) / (high - low) == pytest.approx(0.5)
 
 
+def test_a_surface_far_from_the_origin_is_drawn_beside_its_centre(run, monkeypatch):
+    """In the seven digits of graphics cards it was shreds."""
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
+    far = [ec.State(s.t, s.x + np.array([1e7, 0, 3e6]), None, s.u, space=s.space) for s in run]
+    near, moved = (film_of(ec.animate(states).text) for states in (run, far))
+    assert moved["layout"] == near["layout"]
+    assert moved["ranges"] == near["ranges"]
+    for columns, others in zip(near["frames"], moved["frames"], strict=True):
+        for one, other in zip(columns, others, strict=True):
+            whole = [np.frombuffer(base64.b64decode(c), "<u2").astype(int) for c in (one, other)]
+            assert np.abs(whole[0] - whole[1]).max() <= 1
+
+
 def test_animation_has_positions_and_values_to_16_bits(run, monkeypatch):
     monkeypatch.setenv("ESFEM_PLOTLY_JS", "plotly.js")
     film = film_of(ec.animate(run).text)

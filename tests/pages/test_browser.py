@@ -1,7 +1,7 @@
 """What a reader without network sees: themes, the ledger, figures, moving pictures, print."""
 
 import pytest
-from conftest import on_chromium, soup
+from conftest import ROOT, on_chromium, soup
 
 import esfem_core as ec
 
@@ -162,3 +162,23 @@ def test_pictures_of_one_name_do_not_meet(reader, tmp_path, monkeypatch, place):
         tab.evaluate("text => { document.body.innerHTML = text; }", shown)
         tab.evaluate(MOVED)
     assert [slider.get_attribute("max") for slider in tab.locator("input").all()] == ["2", "4"]
+
+
+def test_what_differs_in_the_eighth_digit_has_colours_and_numbers_of_its_own(
+    reader, tmp_path, monkeypatch
+):
+    script = ROOT / "book/assets/plotly/plotly-gl3d.min.js"
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", script.as_uri())
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    x = space.nodes
+    state = ec.State(0.0, 1e7 + x, u=1 + 1e-7 * x[:, 2], space=space)
+    tab = reader().open(ec.animate([state], tmp_path / "page.html"))
+    tab.wait_for_selector(DRAWN)
+    ticks = tab.locator(".cbaxis text").all_text_contents()
+    assert ticks == ["0.9999999", "1", "1.0000001"]
+    drawn = tab.evaluate(
+        "() => { const d = document.querySelector('.esfem-stage')._fullData[0];"
+        " return [d.x, d.intensity].map((a) => [...a]); }"
+    )
+    assert drawn[0] == pytest.approx(x[:, 0], abs=1e-4)
+    assert [1e7 * (u - 1) for u in drawn[1]] == pytest.approx(x[:, 2], abs=1e-4)
