@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 
 from esfem_core.checks import flag, iterable, level_outside, object_of, output_path
 from esfem_core.elements import nodal_average
-from esfem_core.stepping import EvolutionWarning, State, check_state, known_space, write_whole
+from esfem_core.stepping import (
+    EvolutionWarning,
+    OwnFile,
+    State,
+    check_state,
+    known_space,
+    write_whole,
+)
 
 __all__ = ["SeriesWriter", "save_series"]
 
@@ -77,6 +84,7 @@ class SeriesWriter:
         self.path = output_path("path", path, (".pvd",))
         _check_for_xml("the name of path", self.path.stem)
         _check_one_folder(self.path)
+        self._own = OwnFile(self.path)
         self._normals = flag("normals", normals)
         flag("go_on", go_on)
         self._before = _entries(self.path) if go_on and self.path.exists() else []
@@ -100,6 +108,8 @@ class SeriesWriter:
             a series that it goes on with, an earlier time, or a function with a name that XML
             cannot hold; or if the last file of a series that it goes on with is damaged, or that of
             the state write-protected.
+        FileExistsError
+            If another run has written to the series since this writer was made, or has written.
         OSError
             If a file cannot be written; the series is what it was, or at the first state what is
             kept of it.
@@ -110,6 +120,7 @@ class SeriesWriter:
             If files of a series that it goes on with are gone: they are not listed any more.
         """
         arrays = self._point_data(state)
+        self._own.check()
         if self._last is None:
             kept = _there(self.path, [entry for entry in self._before if entry[0] < state.t])
             if kept:
@@ -122,8 +133,10 @@ class SeriesWriter:
         if self._last is None and self.path.exists():
             # Its list must not name files of this run for those of another.
             write_whole(self.path, _pvd(self._lines))
+            self._own.written()
         write_whole(file, _vtu(state, arrays))
         write_whole(self.path, _pvd(lines))
+        self._own.written()
         self._lines, self._number, self._last = lines, self._number + 1, state
 
     def _point_data(self, state: State) -> dict[str, NDArray[Any]]:
@@ -192,6 +205,8 @@ def save_series(
         that is damaged or another one.
     FileNotFoundError, PermissionError
         If the directory does not exist, or cannot be written to.
+    FileExistsError
+        If another run has begun to write to the series.
     OSError
         If a file cannot be written; the series is complete up to the state before.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from esfem_core.checks import iterable, named, output_path, shown
-from esfem_core.stepping import write_whole
+from esfem_core.stepping import OwnFile, write_whole
 
 __all__ = ["TableWriter", "save_table"]
 
@@ -45,6 +45,7 @@ class TableWriter:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = output_path("path", path, (".csv",))
+        self._own = OwnFile(self.path)
         self._columns: list[str] | None = None
 
     def write(self, row: Any) -> None:
@@ -61,6 +62,9 @@ class TableWriter:
         TypeError, ValueError
             If it is neither, holds something else, has two columns of one name, or other columns
             than the first row.
+        FileExistsError, FileNotFoundError
+            If another run has written to the file since this writer was made, or has written, or
+            it was removed.
         OSError
             If it cannot be written: the file is whole up to the row before.
         """
@@ -81,10 +85,14 @@ class TableWriter:
                 f"rows must all have the columns {', '.join(self._columns)}; got {', '.join(cells)}"
             )
         line = _line(cells.values())
-        if self._columns is None:
-            write_whole(self.path, (_line(cells) + line).encode())
-        else:
-            _append(self.path, line.encode())
+        self._own.check()
+        try:
+            if self._columns is None:
+                write_whole(self.path, (_line(cells) + line).encode())
+            else:
+                _append(self.path, line.encode())
+        finally:
+            self._own.written()
         self._columns = list(cells)
 
 
@@ -104,6 +112,8 @@ def save_table(path: str | os.PathLike[str], rows: Iterable[Any]) -> None:
         If `path` ends otherwise, there is no row, or rows have different columns.
     FileNotFoundError, PermissionError
         If the directory does not exist, or cannot be written to.
+    FileExistsError
+        If another run has begun to write to the file.
 
     Examples
     --------

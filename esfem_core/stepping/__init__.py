@@ -2,7 +2,7 @@
 
 from esfem_core.stepping import bdf
 from esfem_core.stepping.agreement import check_exact_surface
-from esfem_core.stepping.checkpoints import load, save
+from esfem_core.stepping.checkpoints import OwnFile, load, save
 from esfem_core.stepping.files import FULL, write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
@@ -29,6 +29,7 @@ __all__ = [
     "EvolutionWarning",
     "Mass",
     "Measures",
+    "OwnFile",
     "Perturbation",
     "State",
     "Statistics",

@@ -5,6 +5,7 @@ the scheme has them. A file holds the numbers only, nothing that is executed whe
 problem, the order and the step are given again to :func:`esfem_core.evolve`.
 """
 
+import errno
 import inspect
 import io
 import json
@@ -31,7 +32,7 @@ from esfem_core.stepping.state import (
     same_space,
 )
 
-__all__ = ["close_idle", "load", "save", "saving", "space_of"]
+__all__ = ["OwnFile", "close_idle", "load", "save", "saving", "space_of"]
 
 KIND, VERSION = "esfem_core states", 1
 ENDED = "the run has ended: esfem_core.save(path, states) saves what was yielded, elsewhere"
@@ -200,6 +201,38 @@ def close_idle(states: Generator[State, None, None]) -> None:
     """Close a run, unless a thread that nobody waits for is in the middle of a step."""
     if inspect.getgeneratorstate(states) != inspect.GEN_RUNNING:
         states.close()
+
+
+class OwnFile:
+    """A file that one run writes again and again, which it leaves alone when another one has.
+
+    Examples
+    --------
+    >>> path = getfixture("tmp_path") / "run.csv"
+    >>> own = OwnFile(path)
+    >>> size = path.write_text("t,u")
+    >>> own.written()
+    >>> own.check()
+    >>> size = path.write_text("the line of another")
+    >>> own.check()
+    Traceback (most recent call last):
+        ...
+    FileExistsError: [Errno 17] something else, such as another run, writes to it...run.csv'
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.written()
+
+    def written(self) -> None:
+        """Take the file that is there for that of this run, after each of its own writes."""
+        self._found = _identity(self._path)
+
+    def check(self) -> None:
+        """Refuse a file that is another than it was; one that was removed may be written anew."""
+        if _identity(self._path) not in (self._found, None):
+            reason = "something else, such as another run, writes to it, too: choose another path"
+            raise FileExistsError(errno.EEXIST, reason, str(self._path))
 
 
 def _identity(path: Path) -> tuple[int, int, int] | None:

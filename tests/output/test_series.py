@@ -518,3 +518,48 @@ def test_a_table_that_was_removed_on_the_way_is_not_begun_anew(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"removed since its first row.*run\.csv"):
         table.write({"t": 2.0})
     assert not list(tmp_path.iterdir())
+
+
+WRITES = "something else, such as another run, writes to it, too: choose another path.*run"
+
+
+@pytest.mark.parametrize("go_on", [False, True])
+def test_a_series_does_not_mix_with_that_of_another_run(tmp_path, go_on):
+    """Files of both were listed in turn, and those of the one replaced by those of the other."""
+    one, path = states(1)[0], tmp_path / "run.pvd"
+    first, second, later = (
+        [ec.State(t, r * one.x, space=one.space) for t in (0.0, 0.1)] for r in (1, 2, 3)
+    )
+    series, late = ec.SeriesWriter(path), ec.SeriesWriter(path, go_on=go_on)
+    series.write(first[0])
+    with pytest.raises(FileExistsError, match=WRITES):
+        late.write(second[0])
+    series.write(first[1])
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    assert [len(before), *(t for t, _ in entries(path))] == [3, 0.0, 0.1]
+    ec.save_series(path, later)  # as a run that is begun anew
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    with pytest.raises(FileExistsError, match=WRITES):
+        series.write(ec.State(0.2, one.x, space=one.space))
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+    path.unlink()
+    again = ec.SeriesWriter(path)
+    again.write(first[0])
+    path.unlink()
+    again.write(first[1])
+    assert [t for t, _ in entries(path)] == [0.0, 0.1]
+
+
+def test_a_table_does_not_mix_with_that_of_another_run(tmp_path):
+    """Rows of both stood below the header of one."""
+    path = tmp_path / "run.csv"
+    table, late = ec.TableWriter(path), ec.TableWriter(path)
+    table.write({"t": 0, "u": 1})
+    with pytest.raises(FileExistsError, match=WRITES):
+        late.write({"t": 0, "w": 2})
+    table.write({"t": 1, "u": 1})
+    ec.save_table(path, [{"t": 0, "w": 2}])
+    for _ in range(2):
+        with pytest.raises(FileExistsError, match=WRITES):
+            table.write({"t": 2, "u": 1})
+        assert path.read_text() == "t,w\n0,2\n"
