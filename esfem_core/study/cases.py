@@ -49,8 +49,7 @@ class Results:
     ...     return {"sum": n * (n + 1) // 2, "parts": [n, 1.0]}
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     results = run(grid(n=(2, 3)), sums, folder, workers=0, progress=False)
-    ...     rows = ({**row.parameters, **row.results} for row in results.rows)
-    ...     ec.save_table(f"{folder}/sums.csv", rows)
+    ...     ec.save_table(f"{folder}/sums.csv", results.table())
     ...     print(Path(folder, "sums.csv").read_text())
     n,sum,parts_0,parts_1
     2,3,2,1.0
@@ -60,9 +59,20 @@ class Results:
     rows: list[Row]
     failures: list[Failure]
 
+    def table(self) -> list[dict[str, Any]]:
+        """Parameters and results of each case, under names that differ.
+
+        Returns
+        -------
+        list of dict
+            In the order of the rows. A result that has the name of a parameter, such as "h", is
+            called "h (result)".
+        """
+        return [_together(row) for row in self.rows]
+
     def _cells(self) -> tuple[list[str], list[list[str]]]:
         """Parameters, and those results that are single values."""
-        rows = [{**row.parameters, **_beside(row)} for row in self.rows]
+        rows = self.table()
         names = dict.fromkeys(
             name for row in rows for name in row if not isinstance(row[name], list | dict)
         )
@@ -81,10 +91,14 @@ class Results:
         return table + "".join(f"<p>{escape(note)}</p>" for note in self._notes())
 
 
-def _beside(row: Row) -> dict[str, Any]:
-    """The results, with other names than those of the parameters."""
-    used = row.parameters
-    return {f"{n} (result)" if n in used else n: value for n, value in row.results.items()}
+def _together(row: Row) -> dict[str, Any]:
+    """Parameters, and results with other names than theirs."""
+    found = dict(row.parameters)
+    for name, value in row.results.items():
+        while name in found:
+            name += " (result)"
+        found[name] = value
+    return found
 
 
 def _text(value: Any) -> str:

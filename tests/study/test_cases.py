@@ -17,7 +17,17 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.study import Experiment, StudyWarning, grid, outcomes, read, rows, run, select
+from esfem_core.study import (
+    Experiment,
+    Results,
+    StudyWarning,
+    grid,
+    outcomes,
+    read,
+    rows,
+    run,
+    select,
+)
 
 FACTOR = 1
 
@@ -283,6 +293,18 @@ def test_a_result_does_not_hide_the_parameter_of_its_name(tmp_path):
         ["h", "h", "(result)"],
         ["0.5", "0.25"],
     ]
+    ec.save_table(tmp_path / "n.csv", results.table())
+    assert (tmp_path / "n.csv").read_text() == "h,h (result)\n0.5,0.25\n"
+
+
+def test_a_table_of_a_study_has_all_parameters_and_results():
+    first, second = {"h": 0.25, "h (result)": 3, "e": [1, 2]}, {"h (result)": 3, "h": 0.25, "e": 4}
+    found = [rows.Row({"h": 0.5, "p": 1}, results, {}) for results in (first, second)]
+    assert Results(found, []).table() == [
+        {"h": 0.5, "p": 1, "h (result)": 0.25, "h (result) (result)": 3, "e": [1, 2]},
+        {"h": 0.5, "p": 1, "h (result)": 3, "h (result) (result)": 0.25, "e": 4},
+    ]
+    assert found[0].results == {"h": 0.25, "h (result)": 3, "e": [1, 2]}
 
 
 def test_an_integer_too_long_to_be_written_costs_its_own_case_only(tmp_path):
