@@ -34,7 +34,7 @@ Range = tuple[float, float]
 LONGEST = 60_000  # milliseconds of a frame
 BEYOND = 50  # ranges of colours beside their own in which values are told
 TICKS = 6  # steps between numbers at a colour bar, at most
-ROOM = 36  # characters in all of these numbers, with two for each gap, that a phone has room for
+ROOM = 32  # characters in all of these numbers, with two for each gap, that a phone has room for
 
 # fmt: off
 SURFACE: Parts = {
