@@ -182,3 +182,21 @@ def test_what_differs_in_the_eighth_digit_has_colours_and_numbers_of_its_own(
     )
     assert drawn[0] == pytest.approx(x[:, 0], abs=1e-4)
     assert [1e7 * (u - 1) for u in drawn[1]] == pytest.approx(x[:, 2], abs=1e-4)
+
+
+def test_what_the_pointer_tells_can_be_read_where_the_page_is_dark(reader, tmp_path, monkeypatch):
+    """The words had the light colour of the page on their own white ground."""
+    monkeypatch.setenv("ESFEM_PLOTLY_JS", (ROOT / "book/assets/plotly/plotly-gl3d.min.js").as_uri())
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    state = ec.State(0.0, space.nodes, u=space.nodes[:, 2], space=space)
+    tab = reader().open(ec.animate([state], tmp_path / "page.html"))
+    tab.evaluate("document.documentElement.style.color = 'rgb(221, 221, 221)'")
+    tab.wait_for_selector(DRAWN)
+    tab.wait_for_timeout(500)
+    tab.locator(".esfem-frame").hover()
+    tab.locator(".hovertext text").first.wait_for()
+    fills = [
+        tab.locator(css).first.evaluate("text => getComputedStyle(text).fill")
+        for css in (".hovertext text", ".cbaxis text")
+    ]
+    assert fills[1] == "rgb(221, 221, 221)" != fills[0]
