@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from esfem_core.checks import Array, Ints, finite_array, shown
@@ -17,6 +18,8 @@ __all__ = ["ClosestPoints", "closest_points", "probe"]
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 EDGES = np.roll(CORNERS, -1, axis=0) - CORNERS
 CHUNK = 50_000  # pairs that are treated at once
+MANY = 100  # pieces for a point: from there on it is worth while to look at each more closely
+PRODUCTS = 2_000_000  # of Bézier points that are kept at once
 THIN = 1e-6  # doubled area over the longest side squared: a normal has an error of 1e-10
 TOLERANCE = 1e-8  # of distances to triangles, and of what is taken as the same point
 FAR = 1e7  # sizes of the surface; farther away, rounding of distances hides closest points
@@ -149,7 +152,8 @@ def probe(space: SpaceLike, x: ArrayLike, u: ArrayLike, points: ArrayLike) -> Ar
     """Values of a finite element function at the points of Γ_h[x] closest to given ones.
 
     A point that is as far from all of the surface, as the centre of a sphere, is compared with
-    every element, and its value is that at one of many closest points.
+    every element, in a time that grows with their number, and its value is that at one of many
+    closest points.
 
     Parameters
     ----------
@@ -194,6 +198,7 @@ class _Pieces(NamedTuple):
     bezier: Array  # (k² T, (k+1)(k+2)/2, 3), Bézier points as seen from there
     radius: Array  # (k² T,), of the ball around the centre that holds them
     bend: Array  # (k² T,), how far they are from the triangle of its corners, at most
+    squares: csr_array  # from products of two Bézier points to the coefficients of the square
 
 
 def _divide(degree: int, nodes: Array) -> _Pieces:
@@ -212,7 +217,22 @@ def _divide(degree: int, nodes: Array) -> _Pieces:
     radius = np.linalg.norm(relative, axis=2).max(axis=1)
     bend = np.linalg.norm(relative - lattice @ relative[:, :3], axis=2).max(axis=1)
     starts = np.concatenate([corners, centres[:, None]], axis=1)
-    return _Pieces(starts, (at_centre @ nodes).reshape(-1, 3), relative, radius, bend)
+    squares = _squares(indices, factorial(degree) / orders)
+    return _Pieces(starts, (at_centre @ nodes).reshape(-1, 3), relative, radius, bend, squares)
+
+
+def _squares(indices: Ints, multinomials: Array) -> csr_array:
+    """From L² products b_i b_j to Bernstein coefficients of (sum b_i B_i)², of degree 2k.
+
+    B_i B_j is a multiple of the polynomial with the index i + j. A polynomial is nowhere less than
+    the least of its coefficients.
+    """
+    sums = (indices[:, None] + indices).reshape(-1, 3)
+    found, inverse = np.unique(sums, axis=0, return_inverse=True)
+    row = inverse.ravel()  # some versions of NumPy give it a second axis
+    weights = np.outer(multinomials, multinomials).ravel()
+    weights /= np.bincount(row, weights)[row]  # of constants, all coefficients are the square
+    return csr_array((weights, (row, np.arange(len(row)))), shape=(len(found), len(row)))
 
 
 def _candidates(pieces: _Pieces, points: Array, bound: Array) -> tuple[Ints, Ints]:
@@ -226,10 +246,28 @@ def _candidates(pieces: _Pieces, points: Array, bound: Array) -> tuple[Ints, Int
     length = np.linalg.norm(direction, axis=1)
     direction /= np.maximum(length, 1e-300)[:, None]
     ahead = length + np.einsum("nai,ni->an", pieces.bezier[piece], direction).min(axis=0)
-    keep = ahead <= bound[point] + 1e-12 * (length + pieces.radius[piece])
-    point, piece = point[keep], piece[keep]
+    size = length + pieces.radius[piece]
+    keep = ahead <= bound[point] + 1e-12 * size
+    point, piece, size = point[keep], piece[keep], size[keep]
+    # Seen from near the centre of a sphere, that tells few pieces apart; squares of distances do.
+    many = np.flatnonzero(np.bincount(point, minlength=len(points))[point] > MANY)
+    squared = _least_squares(pieces, points, point[many], piece[many])
+    beyond = many[squared > bound[point[many]] ** 2 + 1e-12 * size[many] ** 2]
+    point, piece = np.delete(point, beyond), np.delete(piece, beyond)
     order = np.lexsort((piece, np.frexp(pieces.radius)[1][piece], point))  # small ones first
     return point[order], piece[order]
+
+
+def _least_squares(pieces: _Pieces, points: Array, point: Ints, piece: Ints) -> Array:
+    """What squared distances of points to pieces are at least: their least coefficients."""
+    least = np.empty(len(point))
+    count = max(PRODUCTS // pieces.squares.shape[1], 1)
+    for i in range(0, len(point), count):
+        here = slice(i, i + count)
+        b = pieces.bezier[piece[here]] + (pieces.centre[piece[here]] - points[point[here]])[:, None]
+        products = (b @ b.swapaxes(1, 2)).reshape(len(b), -1)
+        least[here] = (pieces.squares @ products.T).min(axis=0)
+    return least
 
 
 def _closest_cells(pieces: _Pieces, points: Array, bound: Array) -> Ints:

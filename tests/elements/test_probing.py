@@ -331,3 +331,36 @@ def test_pieces_are_not_searched_when_others_are_closer(shape, monkeypatch):
     all_pairs = closest_points(space, x, points)
     np.testing.assert_array_equal(few.cell, all_pairs.cell)
     np.testing.assert_allclose(few.points, all_pairs.points, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("degree", [3, 4])
+def test_near_the_centre_of_a_sphere_few_pieces_are_searched_and_the_closest_is_found(
+    degree, monkeypatch
+):
+    """All are nearly as far away: bounds by hulls of Bézier points let half of them through."""
+    space = sphere(degree, 2)
+    points = 1e-3 * np.random.default_rng(5).normal(size=(10, 3))
+    counts = descents(monkeypatch)
+    few = closest_points(space, space.nodes, points)
+    assert sum(counts) < 0.1 * 4 * degree**2 * len(space.cells) * len(points)
+
+    def every(pieces, points, bound):
+        return tuple(np.indices((len(points), len(pieces.centre))).reshape(2, -1))
+
+    monkeypatch.setattr(probing, "_candidates", every)
+    all_pairs = closest_points(space, space.nodes, points)
+    np.testing.assert_allclose(few.distance, all_pairs.distance, rtol=1e-14)
+    np.testing.assert_allclose(few.points, all_pairs.points, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_squares_of_polynomials_are_no_smaller_than_their_least_coefficients(degree):
+    space, rng = sphere(degree, 0), np.random.default_rng(degree)
+    x = space.nodes + 0.5 * rng.normal(size=space.nodes.shape)
+    pieces = probing._divide(degree, x[space.cells])
+    points = rng.normal(size=(20, 3))
+    point, piece = np.indices((20, len(pieces.centre))).reshape(2, -1)
+    least = probing._least_squares(pieces, points, point, piece)
+    at_centres = ((pieces.centre[piece] - points[point]) ** 2).sum(axis=1)
+    assert (least <= at_centres * (1 + 1e-13)).all()
+    np.testing.assert_allclose(pieces.squares.sum(axis=1), 1, rtol=1e-13)  # of a constant
