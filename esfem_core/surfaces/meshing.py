@@ -8,6 +8,7 @@ edge flips, and Newton's method to keep the vertices on the surface; the springs
 """
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -90,10 +91,10 @@ def from_level_set(
         Without scikit-image (``pip install "esfem-core[mesh]"``).
     TypeError, ValueError
         If `bounds` is not a box or `h` not positive; if the box holds no surface or cuts it; if d
-        is negative outside, or the surface has a crease; if h is too large for the box, the
-        topology or the curvature, or so small that the grid had more than 2e7 points; if numbers
-        are so large or small that their powers are none; if `gradient` does not have the direction
-        of that of d on the surface.
+        is negative outside or nowhere, as an unsigned distance is, or the surface has a crease; if
+        h is too large for the box, the topology or the curvature, or so small that the grid had
+        more than 2e7 points; if numbers are so large or small that their powers are none; if
+        `gradient` does not have the direction of that of d on the surface.
     MeshingError
         If after 40 rounds the mesh is not as good as stated.
 
@@ -198,17 +199,8 @@ def _check_samples(values: Array, axes: list[Array], d: Field, gradient: Field) 
     nearest = np.unravel_index(int(np.argmin(np.abs(values))), values.shape)
     start = np.array([[a[i] for a, i in zip(axes, nearest, strict=True)]])
     inside = values <= 0
-    if inside.all() or not inside.any():
-        sign = "negative" if inside.all() else "positive"
-        if (found := _zero_near(d, gradient, start, axes)) is not None:
-            raise ValueError(
-                f"h must be smaller for this surface: d is {sign} on the whole grid, but zero at "
-                f"{found.round(6).tolist()}, between its points"
-            )
-        raise ValueError(
-            f"bounds must hold a surface, but there is no surface in the box: d is {sign} on the "
-            "whole grid (or h is too large to see it)"
-        )
+    if inside.all() or not (values < 0).any():
+        _check_crossing(values, nearest, _zero_near(d, gradient, start, axes), axes)
     inside[1:-1, 1:-1, 1:-1] = False
     count = int(inside.sum())
     if count == 0:
@@ -224,6 +216,43 @@ def _check_samples(values: Array, axes: list[Array], d: Field, gradient: Field) 
         f"the surface is not closed in the box: d is {values[tuple(index)]:.3g} at the boundary "
         f"point {point}, where it must be positive; {_larger_box(d, axes)}"
     )
+
+
+def _check_crossing(
+    values: Array, nearest: tuple[Any, ...], zero: Array | None, axes: list[Array]
+) -> None:
+    """Refuse values of one sign; `zero` is where d changes it, if that was found."""
+    if not values.any():
+        raise ValueError("d must be zero on the surface only, but is zero on the whole grid")
+    inside = values <= 0
+    sign = "negative" if inside.all() else "positive"
+    if zero is not None:
+        if inside.any() and not inside.all():
+            return  # the surface is as thin as a point of the grid that it passes through
+        raise ValueError(
+            f"h must be smaller for this surface: d is {sign} on the whole grid, but zero at "
+            f"{zero.round(6).tolist()}, between its points"
+        )
+    if not inside.all() and _may_touch_zero(values, nearest):
+        point = [round(float(a[i]), 6) for a, i in zip(axes, nearest, strict=True)]
+        raise ValueError(
+            f"d must be negative inside, but its least value on the grid is {values[nearest]:.3g}, "
+            f"at {point}: an unsigned distance has no inside. If d has one, it lies between the "
+            f"points of a grid of spacing {max(a[1] - a[0] for a in axes):.3g}, and a smaller h is "
+            "needed to see it"
+        )
+    raise ValueError(
+        f"bounds must hold a surface, but there is no surface in the box: d is {sign} on the "
+        "whole grid (or h is too large to see it)"
+    )
+
+
+def _may_touch_zero(values: Array, nearest: tuple[Any, ...]) -> bool:
+    """Whether the least value, inside of the grid, is no larger than what d changes beside it."""
+    if any(i in (0, n - 1) for i, n in zip(nearest, values.shape, strict=True)):
+        return False
+    beside = values[tuple(slice(i - 1, i + 2) for i in nearest)]
+    return bool(values[nearest] <= beside.max() - values[nearest])
 
 
 def _zero_near(d: Field, gradient: Field, start: Array, axes: list[Array]) -> Array | None:

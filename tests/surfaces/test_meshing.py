@@ -126,6 +126,10 @@ def drops(x):
     return x[:, 0] ** 2 + x[:, 1] ** 2 - x[:, 2] ** 2 * (1 - x[:, 2] ** 2)
 
 
+def moved(x, centre):
+    return np.linalg.norm(x - centre, axis=1) - 1
+
+
 REFUSED = {
     "no surface": ((unit_sphere, [[2, 2, 2], [3, 3, 3]], 0.2), "d is positive on the whole grid"),
     "all inside": (
@@ -162,7 +166,20 @@ REFUSED = {
         r"bounds must be finite, but bounds\[1, 2\] is inf",
     ),
     "corners swapped": ((unit_sphere, BOX[::-1], 0.2), "bounds must be the lower and the upper"),
-    "double zero": ((lambda x: unit_sphere(x) ** 2, BOX, 0.2), "there is no surface in the box"),
+    "double zero": ((lambda x: unit_sphere(x) ** 2, BOX, 0.2), "unsigned distance has no inside"),
+    "unsigned": ((lambda x: abs(moved(x, 0.0123)), BOX, 0.2), "d must be negative inside, but"),
+    "unsigned, zero at points of the grid": (
+        (lambda x: abs(moved(x, 0.0)), [[-1.5] * 3, [1.5] * 3], 0.3),
+        r"its least value on the grid is 0, at .* an unsigned distance has no inside",
+    ),
+    "zero": (
+        (lambda x: 0 * x[:, 0], BOX, 0.2),
+        "zero on the surface only, but is zero on the whole",
+    ),
+    "beside the box": (
+        (unit_sphere, [[1.01, -1, -1], [2, 1, 1]], 0.2),
+        "there is no surface in the box: d is positive on the whole grid",
+    ),
     "triple zero": (
         (lambda x: unit_sphere(x) ** 3, BOX, 0.2),
         "its gradient vanishes on the surface",
