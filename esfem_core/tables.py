@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 __all__ = ["Html", "html_table", "text_table"]
 
@@ -56,11 +57,7 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
     1 0.99
     """
     heads, lines = list(header), [list(row) for row in rows]
-    for i, line in enumerate(lines):
-        if len(line) != len(heads):
-            raise ValueError(
-                f"rows[{i}] must have {len(heads)} cells, as header has, got {len(line)}"
-            )
+    _check_cells(heads, lines)
     head = "".join(f'<th scope="col">{_html(cell)}</th>' for cell in heads)
     body = "".join("<tr>" + "".join(f"<td>{_html(c)}</td>" for c in r) + "</tr>" for r in lines)
     css = html.escape(f"esfem-table {kind}".strip())
@@ -74,18 +71,32 @@ def html_table(header: Iterable[object], rows: Iterable[Iterable[object]], kind:
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], least: int = 0) -> str:
     """Columns beside each other, set to the right, none narrower than `least` letters.
 
+    Raises
+    ------
+    ValueError
+        If a row has not one cell for each column.
+
     Examples
     --------
     >>> print(text_table(["p", "order"], [["1", "0.99"]]))
     p  order
     1   0.99
     """
-    lines = [header, *rows]
+    lines = [list(line) for line in (header, *rows)]
+    _check_cells(lines[0], lines[1:])
     widths = [max(least, *map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
         for line in lines
     )
+
+
+def _check_cells(heads: list[Any], rows: list[list[Any]]) -> None:
+    for i, row in enumerate(rows):
+        if len(row) != len(heads):
+            raise ValueError(
+                f"rows[{i}] must have {len(heads)} cells, as header has, got {len(row)}"
+            )
 
 
 def _html(cell: object) -> str:
