@@ -426,11 +426,22 @@ def _checked_start(
     # Each of the times is rounded, and so are sums of the step.
     tolerance = TOLERANCE * step + order * math.ulp(max(map(abs, times)))
     if not np.allclose(times, wanted, rtol=0, atol=tolerance):
+        if times != sorted(times):
+            raise ValueError(
+                f"start must hold states in the order of time, got times {times}; start="
+                f"{_in_order(times)}"
+            )
         raise ValueError(
             f"start must hold states that are a step of {step:g} apart, got times {times}; "
             "esfem_core.respaced(states, step, order) makes such"
         )
     return [_of_problem(space, problem, state) for state in states]
+
+
+def _in_order(times: list[float]) -> str:
+    """What puts states in the order of time."""
+    turned = times[::-1] == sorted(times)
+    return "states[::-1]" if turned else "sorted(states, key=lambda state: state.t)"
 
 
 def _check_functions(name: str, problem: Problem, state: State) -> None:

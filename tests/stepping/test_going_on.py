@@ -198,7 +198,16 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
             r"start\[1\] must be a State, got 1\.0",
         ),
         (lambda s: (SPACE, s), TypeError, r"pair .*: space, states = esfem_core\.load\(path\), t"),
-        (lambda s: s[1::-1], ValueError, r"a step of 0\.0333333 apart, got times \[0\.03"),
+        (
+            lambda s: s[1::-1],
+            ValueError,
+            r"got times \[0\.03.*; start=states\[::-1\]$",
+        ),
+        (
+            lambda s: [s[0], s[2]],
+            ValueError,
+            r"a step of 0\.0333333 apart, got times \[0\.0, ",
+        ),
         (lambda s: s[::2], ValueError, r"; esfem_core\.respaced\(states, step, order\) makes such"),
         (
             lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],
@@ -237,6 +246,16 @@ def test_states_to_start_from_are_refused_at_the_call(start, error, message):
     states = run(PROBLEMS["two species"], 2, end=3 * STEP)
     with pytest.raises(error, match=message):
         ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=start(states))
+
+
+def test_states_in_another_order_are_taken_once_they_are_put_as_advised():
+    problem = PROBLEMS["two species"]
+    states = run(problem, 3, end=3 * STEP)[-3:]
+    for mixed in (states[::-1], [states[1], states[0], states[2]]):
+        with pytest.raises(ValueError, match=r"in the order of time") as found:
+            ec.evolve(SPACE, problem, 3, STEP, 1.0, start=mixed)
+        advised = eval(str(found.value).partition("start=")[2], {"states": mixed})
+        ec.evolve(SPACE, problem, 3, STEP, 4 * STEP, start=advised)
 
 
 def test_states_need_not_know_their_space(tmp_path):
