@@ -181,7 +181,8 @@ class Problem:
     exact : Exact, optional
         Exact solution, for starting values and errors.
     species : mapping of str to Species, optional
-        Instead of u0, f and diffusivity. Any names but "x", "v" and "normal".
+        Instead of u0, f and diffusivity. Any names of printable characters but
+        "x", "v" and "normal".
     law : Law, optional
         Instead of g, alpha, beta and motion.
 
@@ -316,6 +317,10 @@ def _check_names(species: Mapping[str, Species], law: Law) -> None:
         for name, one in group.items():
             if not isinstance(name, str) or name in RESERVED:
                 raise ValueError(f"a {of} must have a name other than x and v, got {name!r}")
+            if not name or not name.isprintable():
+                raise ValueError(
+                    f"a {of} must have a name of printable characters, at least one, got {name!r}"
+                )
             if not isinstance(one, Species):
                 raise TypeError(f"{of}[{name!r}] must be a Species, got {shown(one)}")
     for name in species:

@@ -224,6 +224,16 @@ def test_species_are_not_called_like_positions_and_velocities(name):
         ec.Problem(species={name: ONE})
 
 
+@pytest.mark.parametrize("name", ["", "u\nv", "u\tv", "u\0", "\ud800"])
+def test_names_of_species_can_be_printed_and_written(name):
+    with pytest.raises(ValueError, match=r"a species must have a name of printable characters"):
+        ec.Problem(species={name: ONE})
+    own = SimpleNamespace(species={name: ONE}, velocity=lambda *given: 0.0)
+    with pytest.raises(ValueError, match=r"a species of the law must have a name of printable"):
+        ec.Problem(law=own)
+    ec.Problem(species={"Ca²⁺ in/out": ONE, "濃度": ONE})
+
+
 def test_a_species_is_not_called_like_the_normal_for_which_slips_and_remeshed_would_take_it():
     with pytest.raises(ValueError, match="a species must have another name than 'normal': slips"):
         ec.Problem(species={"normal": ONE})
