@@ -9,6 +9,7 @@ stored results depend on the code of their runs, but not on such calls (see
 algorithm another way, is called ``require_...``.
 """
 
+import inspect
 import math
 import os
 import sys
@@ -26,6 +27,7 @@ __all__ = [
     "Bools",
     "Ints",
     "ReadOnly",
+    "check_arguments",
     "check_array",
     "check_even",
     "check_nodes",
@@ -250,6 +252,43 @@ def function(name: str, value: object, of: str) -> Callable[..., Any]:
     if not callable(value):
         raise TypeError(f"{name} must be a function {of}, got {shown(value)}")
     return value
+
+
+def check_arguments(name: str, value: object, taken: str, given: str) -> None:
+    """Refuse a function that cannot be called with so many arguments; what is none is for others.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls it.
+    value : object
+        Of builtins, and of wrappers that take ``*args``, nothing is known.
+    taken : str
+        The arguments, such as "x, t".
+    given : str
+        What they are.
+
+    Examples
+    --------
+    >>> check_arguments("motion", lambda t: t, "p, t", "p has the points (N, 3), t is the time")
+    Traceback (most recent call last):
+        ...
+    TypeError: motion must be a function of (p, t), got one of (t); p has the points (N, 3), t is
+    the time
+    """
+    if not callable(value):
+        return
+    try:
+        signature = inspect.signature(value, follow_wrapped=False)
+    except (TypeError, ValueError):  # some builtins do not tell
+        return
+    try:
+        signature.bind(*taken.split(", "))
+    except TypeError:
+        found = ", ".join(str(p.replace(annotation=p.empty)) for p in signature.parameters.values())
+        raise TypeError(
+            f"{name} must be a function of ({taken}), got one of ({found}); {given}"
+        ) from None
 
 
 def flag(name: str, value: object) -> bool:

@@ -8,7 +8,7 @@ from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.slip import Elastic, with_slip
 from esfem_core.laws.species import Part, Species, check_initial
-from esfem_core.laws.values import finite_nodal, values_at
+from esfem_core.laws.values import check_of_points, check_of_surface, finite_nodal, values_at
 from esfem_core.laws.volume_preserving import VolumePreserving
 
 __all__ = [
@@ -26,6 +26,8 @@ __all__ = [
     "check_initial",
     "check_law",
     "check_no_slip",
+    "check_of_points",
+    "check_of_surface",
     "finite_nodal",
     "positions_of",
     "same_species",

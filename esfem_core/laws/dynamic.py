@@ -40,7 +40,7 @@ from esfem_core.checks import Array, ReadOnly, finite_array, frozen, function, n
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
-from esfem_core.laws.values import force_at
+from esfem_core.laws.values import check_of_points, check_of_surface, force_at
 
 __all__ = ["Dynamic"]
 
@@ -96,6 +96,7 @@ class Dynamic(ReadOnly, Law):
     def __post_init__(self) -> None:
         object.__setattr__(self, "alpha", number("alpha", self.alpha, least=0))
         object.__setattr__(self, "beta", number("beta", self.beta, least=0))
+        check_of_points("v0", self.v0)
         if not callable(self.v0):
             v0 = finite_array("v0", self.v0, ("...",))
             if v0.size != 1 and (v0.ndim > 2 or v0.shape[-1:] != (3,)):
@@ -105,6 +106,7 @@ class Dynamic(ReadOnly, Law):
             object.__setattr__(self, "v0", frozen(v0))
         if self.g is not None:
             function("g", self.g, "of a Surface or None")
+            check_of_surface("g", self.g)
 
     @property
     def species(self) -> Mapping[str, Species]:

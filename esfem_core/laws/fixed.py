@@ -9,6 +9,7 @@ from esfem_core.checks import (
     Array,
     Ints,
     ReadOnly,
+    check_arguments,
     check_even,
     finite_array,
     frozen,
@@ -185,6 +186,7 @@ def _values(given: Any) -> Any:
     if isinstance(given, type):
         raise TypeError(f"fixed must be {KINDS}, got {shown(given)}")
     if callable(given):
+        check_arguments("fixed", given, "x, t", "x has its nodes (B, 3), t is the time")
         return given
     check_even("the values of fixed", given)
     if np.ndim(given) == 0:

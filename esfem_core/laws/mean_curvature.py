@@ -40,7 +40,7 @@ from esfem_core.elements import (
 )
 from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
-from esfem_core.laws.values import Once, finite_nodal, values_at
+from esfem_core.laws.values import Once, check_of_points, finite_nodal, values_at
 
 __all__ = ["MeanCurvature"]
 
@@ -109,6 +109,7 @@ class MeanCurvature(ReadOnly, Law):
             _takes_points(function("g", self.g, "g(at) or g(x, t), or None"))
         for name, shape in (("normal", ("N", 3)), ("curvature", ("N",))):
             value = getattr(self, name)
+            check_of_points(name, value)
             if value is not None and not callable(value):
                 own = finite_array(name, value, shape)
                 if not own.size:
@@ -266,6 +267,13 @@ def _squared_weingarten(at: Surface) -> Array:
     return square
 
 
+def _counted(g: Callable[..., Any], needed: int) -> str:
+    """What a message says of the number of arguments that g needs."""
+    if any(p.kind is Parameter.VAR_POSITIONAL for p in signature(g).parameters.values()):
+        return "*args, which do not say which: write lambda at: g(at), or lambda x, t: g(x, t)"
+    return str(needed or "none")
+
+
 def _takes_points(g: Callable[..., Any]) -> bool:
     """Whether g is called with (x, t) and not with a surface."""
     kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
@@ -277,7 +285,7 @@ def _takes_points(g: Callable[..., Any]) -> bool:
     if needed not in (1, 2):
         raise ValueError(
             "g must be g(at) or g(x, t), with one or two arguments without defaults, got "
-            f"{needed or 'none'}"
+            f"{_counted(g, needed)}"
         )
     if needed == 1 and [p.name for p in taken[1:2]] == ["t"]:
         raise ValueError("g must be g(x, t) without a default for t, or g(at), which has at.t")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from esfem_core.checks import Array, function, real_array
+from esfem_core.checks import Array, check_arguments, function, real_array
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
 
@@ -57,6 +57,8 @@ class Prescribed(Law):
         for name, value in (("motion", motion), ("velocity", velocity)):
             if value is not None:
                 function(name, value, "or None")
+        check_arguments("motion", motion, "p, t", "p has the nodes (N, 3) at the start, t the time")
+        check_arguments("velocity", velocity, "x, t", "x has points (N, 3), t is the time")
         self.motion, self.field = motion, velocity
 
     def __repr__(self) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from esfem_core.checks import Array, function, number
 from esfem_core.elements import Surface
 from esfem_core.laws.law import Law, Solve
-from esfem_core.laws.values import force_at
+from esfem_core.laws.values import check_of_surface, force_at
 from esfem_core.solvers import times
 
 __all__ = ["Regularised"]
@@ -59,6 +59,7 @@ class Regularised(Law):
         object.__setattr__(self, "beta", number("beta", self.beta, least=0))
         if self.g is not None:
             function("g", self.g, "of a Surface or None")
+            check_of_surface("g", self.g)
 
     def velocity(
         self, at: Surface, new: Mapping[str, Array], tau: float, past: Array, solve: Solve

@@ -48,7 +48,7 @@ from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
 from esfem_core.laws.law import Law, Solve, check_law, check_no_slip
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.species import Species
-from esfem_core.laws.values import Once, finite_nodal
+from esfem_core.laws.values import Once, check_of_surface, finite_nodal
 from esfem_core.solvers import factorise
 from esfem_core.surfaces import components
 
@@ -251,6 +251,7 @@ def with_slip(law: Law, w: Slip | SlipName) -> Law:
         )
     if isinstance(w, type):
         raise TypeError(f"w must be a function of a Surface, got {shown(w)}: {w.__name__}() is one")
+    check_of_surface("w", w)
     if callable(w):
         return _Slipping(law, w)
     if not isinstance(w, str):

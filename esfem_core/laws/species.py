@@ -22,15 +22,11 @@ from esfem_core.checks import (
 )
 from esfem_core.elements import NotFiniteError, Surface, check_tensors, combination
 from esfem_core.laws.fixed import Fixed
-from esfem_core.laws.values import values_at
+from esfem_core.laws.values import check_of_points, check_of_surface, values_at
 
 __all__ = ["Part", "Species", "check_initial"]
 
 NEGATIVE = 1e-12  # eigenvalues of diffusion tensors this far below zero, relatively, are rounding
-UNDERSHOOT = (
-    "where it is a function of u, extrapolated values of u can undershoot: np.maximum(at.u, 0) is "
-    "not negative"
-)
 
 
 class Part(NamedTuple):
@@ -167,6 +163,9 @@ class Species(ReadOnly):
     def __post_init__(self) -> None:
         if self.source is not None:
             function("source", self.source, "of a Surface or None")
+        check_of_surface("source", self.source)
+        check_of_surface("rate", self.rate)
+        check_of_surface("diffusivity", self.diffusivity)
         _check_one_rate(self.rate)
         if self.rate is not None and not callable(self.rate):
             object.__setattr__(self, "rate", number("rate", self.rate, least=0))
@@ -290,10 +289,20 @@ class Species(ReadOnly):
             element, point = np.argwhere(values < 0)[0].tolist()
             raise NotFiniteError(
                 f"{name} must not be negative, got {values[element, point]:.6g} in element "
-                f"{element}; {UNDERSHOOT}",
+                f"{element}; {_undershoot(at)}",
                 element,
             )
         return values
+
+
+def _undershoot(at: Surface) -> str:
+    """Where negative coefficients can come from, as an end of a message."""
+    every = [("u", "at.u") if w == "u" else (repr(w), f"at[{w!r}]") for w in at.fields]
+    names, values = (" or ".join(words) for words in zip(*every, strict=True))
+    return (
+        f"where it is a function of {names}, extrapolated values can undershoot: np.maximum(w, 0) "
+        f"of w = {values} is not negative"
+    )
 
 
 def _called(name: str) -> str:
@@ -324,6 +333,7 @@ def check_initial(name: str, value: object) -> None:
     TypeError: u0 must be a function of points (N, 3), nodal values or a number, got 'one'
     """
     if value is None or callable(value):
+        check_of_points(name, value)
         return
     check_even(name, value)
     if isinstance(value, np.ndarray | list | tuple) and np.size(value):
@@ -366,6 +376,6 @@ def _require_definite(D: Array, at: Surface) -> None:
         element = int(np.argmax(bad.any(axis=1)))
         raise NotFiniteError(
             "diffusivity must be positive semidefinite on the tangent planes, but has the "
-            f"eigenvalue {lowest[element].min():.6g} in element {element}; {UNDERSHOOT}",
+            f"eigenvalue {lowest[element].min():.6g} in element {element}; {_undershoot(at)}",
             element,
         )

@@ -6,12 +6,53 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from esfem_core.checks import Array, real_array
+from esfem_core.checks import Array, check_arguments, real_array
 from esfem_core.elements import NotFiniteError, Surface
 
-__all__ = ["Function", "Once", "finite_nodal", "force_at", "values_at"]
+__all__ = [
+    "Function",
+    "Once",
+    "check_of_points",
+    "check_of_surface",
+    "finite_nodal",
+    "force_at",
+    "values_at",
+]
 
 Function = Callable[[Surface], Array]
+
+OF_SURFACE = (
+    "at is the Surface, with at.u and at.grad_u, or at['name'] and at.grad('name'), at.points and "
+    "at.normal at its quadrature points, and the time at.t"
+)
+
+
+def check_of_surface(name: str, value: object) -> None:
+    """Refuse a function that cannot be called with a surface; what is none is for others.
+
+    Examples
+    --------
+    >>> check_of_surface("f", lambda u, du, x, t: u)
+    Traceback (most recent call last):
+        ...
+    TypeError: f must be a function of (at), got one of (u, du, x, t); at is the Surface, with at.u
+    and at.grad_u, or at['name'] and at.grad('name'), at.points and at.normal at its quadrature
+    points, and the time at.t
+    """
+    check_arguments(name, value, "at", OF_SURFACE)
+
+
+def check_of_points(name: str, value: object) -> None:
+    """Refuse a function that cannot be called with points; what is none is for others.
+
+    Examples
+    --------
+    >>> check_of_points("u0", lambda x, t: x[:, 0])
+    Traceback (most recent call last):
+        ...
+    TypeError: u0 must be a function of (x), got one of (x, t); x has the nodes (N, 3) at the start
+    """
+    check_arguments(name, value, "x", "x has the nodes (N, 3) at the start")
 
 
 def values_at(name: str, returned: Any, at: Surface, trailing: Sequence[tuple[int, ...]]) -> Array:

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, check_nodes, finite_array, function, mapping, number, shown
-from esfem_core.laws import Law, Prescribed, Regularised, Species, check_initial, check_law
+from esfem_core.laws import (
+    Law,
+    Prescribed,
+    Regularised,
+    Species,
+    check_initial,
+    check_law,
+    check_of_surface,
+)
 
 __all__ = ["Exact", "Problem", "at_points"]
 
@@ -243,6 +251,7 @@ class Problem:
             species = {}
         else:
             _function("f", f)
+            check_of_surface("f", f)
             check_initial("u0", u0)
             species = {"u": Species(u0, f, None, 1.0 if diffusivity is None else diffusivity)}
         if law is not None:

@@ -364,10 +364,14 @@ def test_a_law_of_ones_own_may_have_another_forcing():
 
 
 def test_arguments_without_defaults_tell_functions_of_points_from_those_of_a_surface():
-    for wrong, found in ((lambda *given: 0.0, "none"), (lambda x, t, u: 0.0, "3")):
+    for wrong, found in ((lambda: 0.0, "none"), (lambda x, t, u: 0.0, "3")):
         message = rf"g must be g\(at\) or g\(x, t\), .* without defaults, got {found}"
         with pytest.raises(ValueError, match=message):
             ec.laws.MeanCurvature(g=wrong)
+    with pytest.raises(
+        ValueError, match=r"got \*args, which .* write lambda at: g\(at\), or lambda"
+    ):
+        ec.laws.MeanCurvature(g=lambda *given: 0.0)
     with pytest.raises(ValueError, match="without a default for t"):
         ec.laws.MeanCurvature(g=lambda x, t=0.0: 2 + np.sin(t))
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 1, ec.to_unit_sphere)

@@ -1,5 +1,8 @@
 """What functions of a law or a species return, refused by shape or sign; and (2.20) itself."""
 
+import functools
+import operator
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
@@ -101,7 +104,7 @@ def test_of_a_constant_tensor_a_message_says_how_it_is_one_at_each_point():
 
 def test_of_a_negative_diffusivity_a_message_says_where_it_can_come_from():
     """Of a porous medium, D = 2 u, an extrapolated u undershoots by rounding where it is zero."""
-    advice = r"np\.maximum\(at\.u, 0\) is not negative"
+    advice = r"function of u, .* np\.maximum\(w, 0\) of w = at\.u is not negative"
     for D in (lambda at: at.u - 2, lambda at: np.multiply.outer(at.u - 2, np.eye(3))):
         with pytest.raises(ec.EvolutionError, match=advice):
             steps(diffusivity=D)
@@ -111,3 +114,75 @@ def test_a_node_that_is_fixed_twice_is_named():
     species = ec.Species(1.0, fixed=([5, 2, 5], 1.0))
     with pytest.raises(ValueError, match="must not be repeated, but 5 is"):
         species.fixed.nodes("u", SPACE)
+
+
+def test_of_a_negative_coefficient_a_message_names_functions_that_are_there():
+    species = {"a": ec.Species(1.0), "bee": ec.Species(1.0, rate=lambda at: -at["bee"])}
+    problem = ec.Problem(species=species, law=ec.laws.Prescribed(lambda p, t: p))
+    advice = r"function of 'a' or 'bee', .* of w = at\['a'\] or at\['bee'\] is not negative"
+    with pytest.raises(ec.EvolutionError, match=advice):
+        list(ec.evolve(SPACE, problem, 1, 0.1, 0.1))
+
+
+OF_PAPER = {
+    "u, du, x, t": lambda u, du, x, t: u,
+    "x, t": lambda x, t: x[:, 0],
+    "": lambda: 1.0,
+    "at, *, k": lambda at, *, k: k * at.u,
+}
+TAKE_A_SURFACE = {
+    "f": lambda f: ec.Problem(1.0, f=f, motion=lambda p, t: p),
+    "source": lambda f: ec.Species(1.0, f),
+    "rate": lambda f: ec.Species(1.0, rate=f),
+    "diffusivity": lambda f: ec.Problem(1.0, diffusivity=f),
+    "g": lambda f: ec.Problem(1.0, g=f),
+    "w": lambda f: ec.laws.with_slip(ec.laws.Regularised(), f),
+}
+
+
+@pytest.mark.parametrize("arguments", OF_PAPER)
+@pytest.mark.parametrize("name", TAKE_A_SURFACE)
+def test_functions_with_the_arguments_of_the_papers_are_told_what_they_are_given(name, arguments):
+    says = (
+        rf"^{name} must be a function of \(at\), got one of \(.*\); at is the Surface, with at\.u"
+    )
+    with pytest.raises(TypeError, match=says):
+        TAKE_A_SURFACE[name](OF_PAPER[arguments])
+    TAKE_A_SURFACE[name](lambda at, scale=2.0: scale * at.u)
+    TAKE_A_SURFACE[name](lambda *given: given[0].u)
+    TAKE_A_SURFACE[name](functools.partial(lambda k, at: k * at.u, 2.0))
+    TAKE_A_SURFACE[name](operator.attrgetter("u"))
+
+
+def test_a_wrapper_that_passes_on_other_arguments_is_taken_as_it_is():
+    def of_points(x, t):
+        return x[..., 0] + t
+
+    @functools.wraps(of_points)
+    def of_surface(at):
+        return of_points(at.points, at.t)
+
+    ec.Species(1.0, of_surface)
+
+
+def test_functions_of_points_and_of_points_and_a_time_are_told_apart():
+    def three(x, t, more):
+        return x
+
+    for make in (
+        lambda f: ec.Problem(f),
+        ec.Species,
+        ec.laws.Dynamic,
+        lambda f: ec.laws.MeanCurvature(normal=f),
+        lambda f: ec.laws.MeanCurvature(curvature=f),
+    ):
+        with pytest.raises(TypeError, match=r"must be a function of \(x\), got one of \(x, t\); x"):
+            make(lambda x, t: x)
+    for make in (
+        lambda f: ec.Problem(motion=f),
+        lambda f: ec.laws.Prescribed(velocity=f),
+        lambda f: ec.Species(1.0, fixed=f),
+        lambda f: ec.Species(1.0, fixed=([1, 2], f)),
+    ):
+        with pytest.raises(TypeError, match=r"must be a function of \([px], t\), got one of \(x"):
+            make(three)
