@@ -89,9 +89,9 @@ def read_mesh(
     curved). Bodies of tetrahedra and hexahedra are replaced by their boundary, but left out of a
     file that has cells of a surface as well, whatever part of the boundary or the inside these are.
     If triangles do not share vertices, as in STL files and along seams, vertices at equal places
-    become one, or within 1e-6 of the diagonal if only that closes more of the surface. Points
-    without triangles are left out. All else is as it is in the file: see
-    :func:`esfem_core.repair`.
+    become one, or within 1e-6 of the diagonal if only that closes more of the surface; triangles
+    smaller than that may vanish, one for ten edges that are closed. Points without triangles are
+    left out. All else is as it is in the file: see :func:`esfem_core.repair`.
 
     Parameters
     ----------
@@ -524,6 +524,8 @@ def _joined(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints
     if moved is faces:
         return vertices, faces
     steps.append(merging(len(vertices), "vertices", len(np.unique(moved)), distance))
+    if gone := len(faces) - len(moved):
+        steps.append(f"dropped {counted(gone, 'triangle')} smaller than that distance")
     return without_unused(vertices, moved)
 
 

@@ -13,6 +13,7 @@ __all__ = [
     "PIECES",
     "diagonal_of",
     "gap_of",
+    "is_rounding",
     "joined",
     "merged",
     "merging",
@@ -22,7 +23,8 @@ __all__ = [
 
 NEAR = (0.0, 1e-8, 1e-6)  # distances at which vertices are one, over the diagonal of all
 BESIDE = 0.1  # distance of the ends of two edges that were one, over their length
-PIECES = 0.1  # area of pieces that is too much to be lost, over that of all triangles
+PIECES = 0.1  # pieces that are too much to be lost, over all triangles, by number or by area
+VANISH = 0.1  # triangles that may vanish where vertices are merged, over the edges that it closes
 
 
 def diagonal_of(points: Array) -> float:
@@ -73,8 +75,8 @@ def joined(vertices: Array, faces: Ints) -> tuple[Ints, float]:
     """Triangles, (T, 3), whose vertices at one place are one if that closes more of the surface.
 
     Vertices may be merged that are as far apart as rounding puts them, and as little as closes
-    most: along seams, where programs go once around. No triangle may vanish whose vertices
-    are at three places.
+    most: along seams, where programs go once around. Of triangles whose vertices are at three
+    places no more may vanish than :func:`is_rounding` allows; these are left out.
 
     Returns
     -------
@@ -95,17 +97,33 @@ def joined(vertices: Array, faces: Ints) -> tuple[Ints, float]:
         if is_open == 0:
             break
         moved = merged(vertices, near * size)[faces]
-        if _open_edges(moved) < is_open and not (repeated(moved) & whole).any():
-            best, distance, is_open = moved, near * size, _open_edges(moved)
+        moved = moved[~(repeated(moved) & whole)]
+        left = _open_edges(moved)
+        if left < is_open and is_rounding(len(best) - len(moved), is_open - left):
+            best, distance, is_open = moved, near * size, left
     return best, distance
+
+
+def is_rounding(gone: int, closed: int) -> bool:
+    """Whether so many triangles may vanish where merging closes so many edges.
+
+    Triangles smaller than the gaps between the others must not keep a surface in pieces; but where
+    many of them vanish for few edges, it is the shape that is lost.
+
+    Examples
+    --------
+    >>> is_rounding(1, 9), is_rounding(1, 10)
+    (False, True)
+    """
+    return gone <= VANISH * closed
 
 
 def gap_of(vertices: Array, faces: Ints) -> float:
     """How far corners are apart across the cracks of a surface in pieces, or 0 if it is in one.
 
-    A piece is a component that ends mostly where another one goes on, its edges beside those of the
-    other, but too far from them to be joined. Pieces of little area beside a large one are none:
-    a triangle or two may be lost.
+    A piece is joined within itself by edges, and ends mostly where another one goes on, its edges
+    beside those of the other, but not joined with them. Few pieces of little area beside a large
+    one are none: a triangle or two may be lost.
 
     Examples
     --------
@@ -124,15 +142,16 @@ def gap_of(vertices: Array, faces: Ints) -> float:
     near = np.asarray(cKDTree(middle).query(middle, k=2)[1])
     other = np.where(near[:, 0] == np.arange(len(rim)), near[:, 1], near[:, 0])
     gap = np.minimum(*(_apart(ends, there[:, other]) for there in (ends, ends[::-1])))
-    label = components(faces)
+    label = components(sides.edge.reshape(-1, 3))
     area = np.bincount(label, np.linalg.norm(normals_of(vertices, faces), axis=1))
     own = label[rim // 3]
-    beside = (own != own[other]) & (gap > NEAR[-1] * diagonal_of(vertices))
-    beside &= gap <= BESIDE * np.linalg.norm(ends[1] - ends[0], axis=1)
-    # More of its edges are beside others than not.
-    piece = np.bincount(own, 2 * beside - 1, minlength=len(area)) > 0
+    beside = (own != own[other]) & (gap <= BESIDE * np.linalg.norm(ends[1] - ends[0], axis=1))
+    open_edges, beside_others = (np.bincount(own, n, len(area)) for n in (1 + 0 * own, beside))
+    area[(open_edges > 0) & (beside_others == 0)] = 0  # sheets apart, such as a ground
+    piece = 2 * beside_others > open_edges
     piece[np.argmax(area)] = False
-    return float(gap[beside].max()) if area[piece].sum() > PIECES * area.sum() else 0.0
+    many = any(size[piece].sum() > PIECES * size.sum() for size in (area, np.bincount(label)))
+    return float(gap[beside].max()) if many else 0.0
 
 
 def _apart(ends: Array, others: Array) -> Array:

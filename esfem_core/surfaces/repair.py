@@ -37,6 +37,7 @@ from esfem_core.surfaces.places import (
     PIECES,
     diagonal_of,
     gap_of,
+    is_rounding,
     merged,
     merging,
     repeated,
@@ -72,8 +73,8 @@ def repair(
     1. of triangles at one place, oriented alike, one is kept; those with corners that are missing
        or not finite are dropped, then vertices without triangles;
     2. vertices at one place become one, whatever their texture or normal (first equal ones, then
-       those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it
-       and no proper triangle vanishes);
+       those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it,
+       ten edges or more for each triangle that vanishes);
     3. triangles with a corner twice are dropped, of those with the same three corners one is
        kept, or none if they are the two sides of a wall or a fin; triangles without area are
        flipped away;
@@ -296,16 +297,15 @@ def _places(vertices: Array, faces: Ints) -> Ints:
 
 def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]:
     """Steps 2 and 3: what closes most of the surface, merging as little as possible."""
-    best: tuple[int, Array, Ints, list[str]] | None = None
+    best: tuple[int, int, Array, Ints, list[str]] | None = None
     diagonal = diagonal_of(vertices)
     for near in (None, *NEAR):
         x, f = vertices, faces
         said: list[str] = []
+        gone = 0  # proper triangles
         if near is not None:
             place = merged(x, near * diagonal)
-            gone = repeated(place[f]) & ~repeated(f)
-            if near and (gone & ~without_area(x, f)).any():
-                continue  # that is no rounding: proper triangles would vanish
+            gone = int((repeated(place[f]) & ~repeated(f) & ~without_area(x, f)).sum())
             f = place[f]
             count = len(np.unique(f))
             if count < len(x):
@@ -313,13 +313,13 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
         f = _drop_doubles(f, said)
         x, f = without_unused(x, f)
         broken = int((sides_of(f).times == 1).sum() + without_area(x, f).sum())
-        if best is None or broken < best[0]:
-            best = broken, x, f, said
-        if broken == 0:
+        if best is None or (broken < best[0] and is_rounding(gone - best[1], best[0] - broken)):
+            best = broken, gone, x, f, said
+        if best[0] == 0:
             break
     assert best is not None
-    steps += best[3]
-    return best[1], best[2]
+    steps += best[4]
+    return best[2], best[3]
 
 
 def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:

@@ -143,6 +143,66 @@ def test_triangles_that_share_no_vertices_are_not_dropped_under_lids_of_their_ow
         assert again.volume == pytest.approx(whole.volume, rel=1e-3)
 
 
+def tiny_ball(size):
+    return mesh(size * SPHERE.vertices + [1.5, 0, 0], SPHERE.faces)
+
+
+def with_a_short_edge(tri, share):
+    x = np.array(tri.vertices)
+    i, j = tri.edges_unique[0]
+    x[i] = x[j] + share * (x[i] - x[j])
+    return mesh(x, tri.faces)
+
+
+FINE = ec.sphere("icosahedron", 2)
+POINT = mesh(np.repeat(FINE.vertices[:1], 3, axis=0), [[0, 1, 2]])
+
+
+@pytest.mark.parametrize("noise", [1e-9, 3e-8, 1e-7, 3e-7])
+@pytest.mark.parametrize(
+    "tri",
+    [
+        with_a_short_edge(FINE, 1e-5),
+        with_a_short_edge(FINE, 1e-7),
+        joined(FINE, POINT),
+        *(joined(FINE, tiny_ball(size)) for size in (1e-8, 1e-6)),
+    ],
+)
+def test_few_triangles_smaller_than_the_noise_do_not_keep_a_surface_in_pieces(tri, noise):
+    """Or else each triangle got a lid of its own, was dropped, and a splinter was left."""
+    loose = shaken(soup(tri), noise)
+    whole, _ = repaired(loose)
+    assert whole.volume == pytest.approx(tri.volume, rel=1e-5)
+    again, _ = repaired(ec.read_mesh(loose, report=None))
+    assert again.volume == pytest.approx(tri.volume, rel=1e-5)
+
+
+def test_triangles_that_vanish_in_reading_are_told():
+    said = []
+    ec.read_mesh(shaken(soup(with_a_short_edge(FINE, 1e-5)), 4e-8), report=said.append)
+    assert said[2:] == ["dropped 2 triangles smaller than that distance", "fit for ec.SurfaceSpace"]
+
+
+def test_a_small_body_with_a_hole_does_not_vanish_for_its_three_edges():
+    opened = mesh(1e-7 * SPHERE.vertices + [1.5, 0, 0], SPHERE.faces[1:])
+    whole, _ = repaired(joined(FINE, opened))
+    assert len(whole.faces) == len(FINE.faces) + len(SPHERE.faces)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("ground", [False, True])
+def test_a_surface_that_is_joined_in_parts_is_not_dropped(seed, ground):
+    """Corners lie about as far apart as they may: some are merged, and pieces hang together."""
+    tri = soup(FINE)
+    if ground:
+        flat = np.array([[9, 9, -1], [-9, 9, -1], [-9, -9, -1], [9, -9, -1.0]])
+        tri = joined(tri, soup(mesh(flat, [[0, 1, 2], [0, 2, 3]])))
+    noise = np.random.default_rng(seed).normal(size=(len(tri.vertices), 3))
+    size = np.linalg.norm(np.ptp(tri.vertices, axis=0))
+    with pytest.raises(ValueError, match="it is in pieces that share no vertices"):
+        repaired(mesh(tri.vertices + 7e-7 * size * noise, tri.faces))
+
+
 @pytest.mark.parametrize("size", [1e-30, 1e30])
 def test_advice_to_round_corners_knows_the_size_of_the_surface(size):
     tri = shaken(soup(ec.sphere("icosahedron", 1)), 1e-5)
