@@ -27,6 +27,7 @@ from esfem_core.surfaces.orientation import (
     components,
     directed,
     fans,
+    normals_of,
     shells,
     sides_of,
     turned_to_agree,
@@ -75,9 +76,9 @@ def repair(
     2. vertices at one place become one, whatever their texture or normal (first equal ones, then
        those nearer than 1e-8 and 1e-6 of the diagonal of the surface, if that closes more of it,
        ten edges or more for each triangle that vanishes);
-    3. triangles with a corner twice are dropped, of those with the same three corners one is
-       kept, or none if they are the two sides of a wall or a fin; triangles without area are
-       flipped away;
+    3. triangles with a corner twice are dropped, and flat ones that stick to the surface by an
+       edge; of those with the same three corners one is kept, or none if they are the two sides of
+       a wall or a fin; triangles without area are flipped away;
     4. neighbours are oriented alike, most triangles staying as they are; polygons that were cut
        into triangles which lie on each other, as those that are not convex, are cut anew;
     5. holes of up to `holes` edges are filled without new vertices, with the smallest area, and
@@ -185,6 +186,7 @@ def repaired(vertices: Array, faces: Ints, holes: int = HOLE) -> Repaired:
         vertices, faces = without_unused(vertices, faces)
         steps += dropping(before - len(vertices))
         vertices, faces = _merge(vertices, faces, steps)
+        vertices, faces = without_unused(vertices, _without_flat_fins(vertices, faces, steps))
     if len(faces) > 0:
         faces = _flip_flat(vertices, faces, steps)
         faces = _agree(faces, steps)
@@ -371,6 +373,19 @@ def _are_walls(faces: Ints, facing: Bools) -> Bools:
     return np.asarray(wall if not wall.all() else np.zeros_like(wall))
 
 
+def _without_flat_fins(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
+    """Drop triangles as flat as rounding makes them that only stick to the surface by an edge."""
+    sides = sides_of(faces)
+    times = sides.times.reshape(-1, 3)
+    lengths = np.linalg.norm(vertices[sides.end] - vertices[sides.start], axis=1).reshape(-1, 3)
+    area = np.linalg.norm(normals_of(vertices, faces), axis=1)  # twice that: height times length
+    flat = area <= NEAR[-1] * diagonal_of(vertices) * lengths.max(axis=1)
+    fin = flat & (times % 2 == 1).all(axis=1) & (times > 2).any(axis=1)
+    if fin.any():
+        steps.append(f"dropped {counted(fin.sum(), 'flat triangle')} that stuck to the surface")
+    return np.asarray(faces[~fin])
+
+
 def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
     """Give the longest side of a flat triangle (a, b, c) to c: its neighbour becomes two."""
     faces = faces.copy()
@@ -395,7 +410,7 @@ def _flip_flat(vertices: Array, faces: Ints, steps: list[str]) -> Ints:
             s = other // 3
             a, b = sides.start[side], sides.end[side]
             c, d = faces[t][(side + 2) % 3], faces[s][(other + 2) % 3]
-            if {s, t} & touched or (c, d) in edges or (d, c) in edges:
+            if {s, t} & touched or c == d or (c, d) in edges or (d, c) in edges:
                 continue
             faces[t], faces[s] = (a, d, c), (d, b, c)
             touched |= {s, t}

@@ -203,6 +203,24 @@ def test_a_surface_that_is_joined_in_parts_is_not_dropped(seed, ground):
         repaired(mesh(tri.vertices + 7e-7 * size * noise, tri.faces))
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-7])
+def test_a_flat_triangle_that_sticks_to_an_edge_is_dropped(noise):
+    """On a surface that is whole without it."""
+    a, b, _ = FINE.triangles[0]
+    tri = shaken(soup(joined(FINE, mesh([a, (a + b) / 2, b], [[0, 1, 2]]))), noise)
+    whole, said = repaired(tri)
+    assert said[1:] == ["dropped 1 flat triangle that stuck to the surface"]
+    assert whole.volume == pytest.approx(FINE.volume, rel=1e-6)
+
+
+def test_a_flat_triangle_is_not_flipped_with_its_own_lid():
+    """They became triangles with a corner twice, in the mesh that came out."""
+    needle = mesh([[5.0, 0, 0], [6, 0, 0], [5.5, 1e-9, 0]], [[0, 1, 2]])
+    whole, said = repaired(joined(SPHERE, needle))
+    assert said[-1] == "dropped 1 component without volume"
+    assert len(whole.faces) == len(SPHERE.faces)
+
+
 @pytest.mark.parametrize("size", [1e-30, 1e30])
 def test_advice_to_round_corners_knows_the_size_of_the_surface(size):
     tri = shaken(soup(ec.sphere("icosahedron", 1)), 1e-5)
