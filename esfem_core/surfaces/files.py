@@ -144,13 +144,7 @@ def read_mesh(
         )
     vertices, faces = found.points, _triangles(found)
     if len(faces) == 0:
-        kinds = ", ".join(sorted({kind for kind, _ in found.cells}))
-        empty = len(vertices) == 0 and not found.notes
-        kinds = kinds or ("nothing that can be read" if empty else "points only")
-        raise ValueError(
-            f"{found.name} holds no triangles ({kinds}); write the surface with the program that "
-            "made it"
-        )
+        raise _without_triangles(found)
     steps = found.notes
     if len(curved := {cells.shape[1] for kind, cells in found.cells if kind == "triangle"} - {3}):
         steps.append(
@@ -180,6 +174,16 @@ def read_mesh(
             report(step)
         report(_fitness(vertices, faces))
     return made
+
+
+def _without_triangles(found: Elements) -> ValueError:
+    kinds = ", ".join(sorted({kind for kind, _ in found.cells}))
+    empty = len(found.points) == 0 and not found.notes
+    kinds = kinds or ("nothing that can be read" if empty else "points only")
+    return ValueError(
+        f"{found.name} holds no triangles ({kinds}); write the surface with the program that made "
+        "it"
+    )
 
 
 def _described(vertices: Array, faces: Ints, scale: float) -> str:
@@ -247,8 +251,10 @@ def curved_elements(source: Any) -> Elements:
     found = _elements(source)
     blocks = [cells for kind, cells in found.cells if kind == "triangle" and len(cells)]
     others = sorted({kind for kind, cells in found.cells if kind in SURFACE[1:]})
+    if not any(kind in (*SURFACE, *SIDES_OF) and len(cells) for kind, cells in found.cells):
+        raise _without_triangles(found)
     if not blocks or others:
-        kinds = ", ".join(others or sorted({kind for kind, _ in found.cells})) or "points"
+        kinds = ", ".join(others or sorted({kind for kind, _ in found.cells}))
         raise ValueError(
             f"source must have triangles for curved elements, but {found.name} holds {kinds}: have "
             "its surface meshed with triangles, or take flat ones by ec.read_mesh"

@@ -308,12 +308,17 @@ def test_what_cannot_be_read_is_refused_with_what_to_do(folder):
         for reading in (read, ec.SurfaceSpace.read):
             with pytest.raises(ValueError, match=rf"{name} .*: .*{advice}"):
                 reading(folder / name)
-    (folder / "empty.stl").write_bytes(b"")
-    with pytest.raises(ValueError, match=r"empty\.stl holds no triangles \(nothing that can be"):
-        read(folder / "empty.stl")
-    cloud = trimesh.PointCloud(SPHERE.vertices)
-    with pytest.raises(ValueError, match=r"Scene holds no triangles \(points only\)"):
-        read(trimesh.Scene([cloud]))
+    texts = {"empty.stl": "", "empty.obj": "", "page.stl": "<html><body>404</body></html>"}
+    cloud, lines = trimesh.PointCloud(SPHERE.vertices), meshio.Mesh(np.eye(3), {"line": [[0, 1]]})
+    for reading in (read, ec.SurfaceSpace.read):
+        for name, text in texts.items():
+            (folder / name).write_text(text)
+            with pytest.raises(ValueError, match=f"{name} holds no triangles .nothing that can be"):
+                reading(folder / name)
+        with pytest.raises(ValueError, match=r"Scene holds no triangles \(points only\)"):
+            reading(trimesh.Scene([cloud]))
+        with pytest.raises(ValueError, match=r"Mesh holds no triangles \(line\)"):
+            reading(lines)
 
 
 def test_meshio_is_named_for_all_that_it_reads_and_nothing_else():
