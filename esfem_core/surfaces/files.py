@@ -91,7 +91,8 @@ def read_mesh(
     If triangles do not share vertices, as in STL files and along seams, vertices at equal places
     become one, or within 1e-6 of the diagonal if only that closes more of the surface; triangles
     smaller than that may vanish, one for ten edges that are closed. Points without triangles are
-    left out. All else is as it is in the file: see :func:`esfem_core.repair`.
+    left out. All else is as it is in the file, also what its writer has rounded, as trimesh does
+    OBJ to eight decimals: see :func:`esfem_core.repair`.
 
     Parameters
     ----------
