@@ -297,7 +297,8 @@ class Species(ReadOnly):
 
 def _undershoot(at: Surface) -> str:
     """Where negative coefficients can come from, as an end of a message."""
-    every = [("u", "at.u") if w == "u" else (repr(w), f"at[{w!r}]") for w in at.fields]
+    of_u = "u", "at.u"
+    every = [of_u if w == "u" else (repr(w), f"at[{w!r}]") for w in at.fields] or [of_u]
     names, values = (" or ".join(words) for words in zip(*every, strict=True))
     return (
         f"where it is a function of {names}, extrapolated values can undershoot: np.maximum(w, 0) "

@@ -122,6 +122,9 @@ def test_of_a_negative_coefficient_a_message_names_functions_that_are_there():
     advice = r"function of 'a' or 'bee', .* of w = at\['a'\] or at\['bee'\] is not negative"
     with pytest.raises(ec.EvolutionError, match=advice):
         list(ec.evolve(SPACE, problem, 1, 0.1, 0.1))
+    bare = ec.Surface(SPACE, SPACE.nodes)
+    with pytest.raises(NotFiniteError, match="rate must not be negative, got -1"):
+        ec.Species(1.0, rate=lambda at: -np.ones(at.density.shape)).parts(bare, ())
 
 
 OF_PAPER = {
