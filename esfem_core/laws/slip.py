@@ -154,11 +154,9 @@ class _Reference:
         self._measure = at.density * space.rule.weights
         self._component = components(space.cells[:, :3])
         self._area = np.bincount(self._component, self._measure.sum(axis=1))
-        share = self._area / self._area.sum()
         # Of each node, the squared radius of a sphere as large as its component.
         self._s = np.empty(len(space.nodes))
-        s = float(at.integral(1.0)) * share / (4 * np.pi)
-        self._s[space.cells] = s[self._component, None]
+        self._s[space.cells] = self._area[self._component, None] / (4 * np.pi)
         self._relax = factorise(_sum(at.M, self._s, at.A), space.fronts, np.float64)
         self._smoothing = Smoothing(at)
 
@@ -167,10 +165,7 @@ class _Reference:
         return self._s[:, None] * self._relax.solve(b)
 
     def mean(self, values: Array) -> Array:
-        """Means over components of values at the quadrature points, (T, Q): (T, 1) or one."""
-        if len(self._area) == 1:
-            one: Array = np.tensordot(self._measure, values, 2) / self._measure.sum()
-            return one
+        """Of values at the quadrature points, (T, Q), those over the component, (T, 1)."""
         sums = np.bincount(self._component, (self._measure * values).sum(axis=1))
         means: Array = sums / self._area
         return means[self._component, None]

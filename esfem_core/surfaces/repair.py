@@ -320,8 +320,9 @@ def _merge(vertices: Array, faces: Ints, steps: list[str]) -> tuple[Array, Ints]
         if best[0] == 0:
             break
     assert best is not None
-    steps += best[4]
-    return best[2], best[3]
+    *_, x, f, said = best
+    steps += said
+    return x, f
 
 
 def _drop_doubles(faces: Ints, steps: list[str]) -> Ints:
