@@ -11,6 +11,10 @@ and the nodes B around it, is::
 Then A x = b is solved by y_B -= W^T y_I from the smallest parts upwards, starting from y = b, and
 x_I = F_II^{-1} y_I - W x_B downwards. Subtrees do not wait for each other: on the way up each adds
 to its own copy of the nodes of larger parts, and these are added up in the order of the subtrees.
+
+In M + tau A with a small tau, F_II^{-1} and W decay over a front like exp(-distance/sqrt(tau)). At
+1e-38 single precision has no normal numbers left, and processors take up to a hundred times as long
+for subnormal ones. So what is tiny becomes zero before it is a factor of a product.
 """
 
 from bisect import bisect_left
@@ -33,6 +37,8 @@ PRECISIONS = (np.dtype(np.float32), np.dtype(np.float64))
 LARGE = 10**5  # entries of right-hand sides that several threads put into place
 GOOD = 0.05  # residual up to which errors of single precision cost an iteration at most
 HALVED = 16  # rows of a matrix, above which it is inverted half by half
+# Added and subtracted, this leaves zero of numbers whose squares are not normal.
+FLOOR = {d: d.type(2 * np.sqrt(np.finfo(d).tiny) / np.finfo(d).eps) for d in PRECISIONS}
 RUN = 2**21  # entries of the fronts that are eliminated at a time
 
 
@@ -191,10 +197,25 @@ def _runs(level: Level) -> list[Run]:
 def _eliminate(F: Array, run: Run) -> tuple[Array, Array]:
     """Eliminate the nodes I of some fronts: [F_II^{-1}  -W], and S."""
     k = F.shape[1] - run.batch.rows.shape[1]
-    inverse = _inverse(F[:, :k, :k])
-    W = inverse @ F[:, :k, k:]
-    S = F[:, k:, k:] - F[:, :k, k:].swapaxes(1, 2) @ W
+    inverse = _without_tiny(_inverse(F[:, :k, :k]))
+    W = _without_tiny(inverse @ F[:, :k, k:])
+    S = _without_tiny(F[:, k:, k:] - F[:, :k, k:].swapaxes(1, 2) @ W)
     return np.concatenate([inverse, -W], axis=2), S
+
+
+def _without_tiny(x: Array) -> Array:
+    """Make zeros of entries below 1e-19, or 1e-154 in double precision, in place.
+
+    Examples
+    --------
+    >>> x = np.array([1.0, -1e-15, 1e-20], dtype=np.float32)
+    >>> [f"{number:.3g}" for number in _without_tiny(x)]
+    ['1', '-1e-15', '0']
+    """
+    floor = FLOOR[x.dtype]
+    x += floor
+    x -= floor
+    return x
 
 
 def _inverse(F: Array) -> Array:
@@ -207,9 +228,9 @@ def _inverse(F: Array) -> Array:
         return np.asarray(np.linalg.inv(F), dtype=F.dtype)
     first, second = slice(0, k // 2), slice(k // 2, k)
     P, B = _inverse(F[:, first, first]), F[:, first, second]
-    Q = P @ B
+    Q = _without_tiny(P @ B)
     R = _inverse(F[:, second, second] - B.swapaxes(1, 2) @ Q)
-    T = Q @ R
+    T = _without_tiny(Q @ R)
     inverse = np.empty_like(F)
     inverse[:, first, first] = P + T @ Q.swapaxes(1, 2)
     inverse[:, first, second] = -T
@@ -301,7 +322,7 @@ class BlockFactor:
     def astype(self, dtype: np.dtype) -> "BlockFactor":
         """The same factor in another precision."""
         subtrees, top = (
-            [[(run, block.astype(dtype)) for run, block in steps] for steps in part]
+            [[(run, _without_tiny(block.astype(dtype))) for run, block in steps] for steps in part]
             for part in (self._subtrees, [self._top])
         )
         return BlockFactor(self._fronts, self._scale, subtrees, top[0])
@@ -319,7 +340,7 @@ def _upwards(y: Array, steps: list[Step]) -> None:
     """y_B -= W^T y_I, from the smallest parts up."""
     for run, block in steps:
         count, k, _ = block.shape
-        y_I = y[:, run.own].reshape(len(y), count, k).swapaxes(0, 1)
+        y_I = _without_tiny(y[:, run.own]).reshape(len(y), count, k).swapaxes(0, 1)
         change = (y_I @ block[:, :, k:]).swapaxes(0, 1)
         outer = run.batch.outer[run.fronts].ravel()
         for row, values in zip(y, change, strict=True):
@@ -333,5 +354,5 @@ def _downwards(y: Array, steps: list[Step]) -> None:
         front = y.take(run.batch.slots[run.fronts], axis=1).swapaxes(0, 1)[..., None]
         # One right-hand side after the other: a product of a transposed matrix with few columns at
         # once is slower, except with AVX-512.
-        x_I = block[:, None] @ front
+        x_I = _without_tiny(block[:, None] @ front)
         y[:, run.own] = x_I.swapaxes(0, 1).reshape(len(y), count * k)
