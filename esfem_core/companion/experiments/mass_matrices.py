@@ -22,12 +22,12 @@ AXES = np.array([1.0, 0.8, 0.6])  # of the ellipsoid
 
 
 def compare_masses(
-    *, refinements: int, steps_per_unit: int, order: int = 3, coupling: Coupling = "smooth"
+    *, refinements: int, steps_per_unit: int, coupling: Coupling = "smooth"
 ) -> dict[str, Any]:
     """Solve the expanding sphere with the three mass terms and compare.
 
     Norms are (L2^2 + H1 seminorm^2)^{1/2}, as in Figure 5. Quadratic elements on an octahedron,
-    exact starting values.
+    BDF3, exact starting values.
 
     Parameters
     ----------
@@ -35,8 +35,6 @@ def compare_masses(
         Of the octahedron: 4^{r+2} + 2 nodes.
     steps_per_unit : int
         1/tau, even.
-    order : int
-        p.
     coupling : {"smooth", "printed"}
         As for :func:`esfem_core.problems.expanding_sphere`.
 
@@ -67,7 +65,7 @@ def compare_masses(
     space = ec.SurfaceSpace(ec.sphere("octahedron", refinements), 2, ec.to_unit_sphere)
     problem = ec.problems.expanding_sphere(coupling)
     runs = [
-        ec.evolve(space, problem, order, 1 / steps_per_unit, 1.0, mass=mass, start="exact")
+        ec.evolve(space, problem, 3, 1 / steps_per_unit, 1.0, mass=mass, start="exact")
         for mass in MASSES
     ]
     marks = [round(t * steps_per_unit) for t in TIMES]
