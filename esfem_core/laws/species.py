@@ -236,8 +236,8 @@ class Species(ReadOnly):
             )
         return u
 
-    def parts(self, at: Surface, trailing: tuple[int, ...]) -> list[Part]:
-        """The components in groups of equal diffusivity; `trailing` is the shape of u at a node."""
+    def parts(self, at: Surface) -> list[Part]:
+        """The components in groups of equal diffusivity."""
         rate = self._coefficient("rate", 0.0 if self.rate is None else self.rate, at, [()])
         D = self.diffusivity
         if callable(D):

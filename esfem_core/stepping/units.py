@@ -179,7 +179,7 @@ def _lost(species: Species, at: Surface, name: str, weight: float) -> float:
     weight u + source as densities: their quotient is about the new u.
     """
     u = np.abs(at[name])
-    [part, *_] = species.parts(at, u.shape[2:])
+    [part, *_] = species.parts(at)
     given = None if species.source is None else species.source(at)
     source = given[0] if isinstance(given, tuple) else given  # a flux is not looked at
     K = (weight + part.rate).reshape(*u.shape[:2], *(1,) * (u.ndim - 2))

@@ -168,7 +168,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         of_elements(vertices, faces)
         or _of_vertices(vertices, faces)
         or _of_triangles(vertices, faces)
-        or _of_edges(vertices, faces, sides, boundary)
+        or _of_edges(faces, sides, boundary)
         or _of_seams(vertices, faces, sides)
         or _of_neighbours(faces, sides)
         or _of_fans(len(vertices), faces, sides)
@@ -283,7 +283,7 @@ def _of_triangles(vertices: Array, faces: Ints) -> Fault | None:
     )
 
 
-def _of_edges(vertices: Array, faces: Ints, sides: Sides, boundary: bool) -> Fault | None:
+def _of_edges(faces: Ints, sides: Sides, boundary: bool) -> Fault | None:
     rim, many = (sides.times == 1) & (not boundary), sides.times > 2
     # A fin has wrong edges of both kinds: to close the surface would be the wrong advice.
     at_rim, at_many = (wrong.reshape(-1, 3).any(axis=1) for wrong in (rim, many))

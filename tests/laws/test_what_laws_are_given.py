@@ -56,16 +56,16 @@ def test_a_tensor_with_one_negative_eigenvalue_on_the_tangent_plane_is_refused(l
     species = ec.Species(1.0, diffusivity=lambda at: tensor)
     if lowest < 0:
         with pytest.raises(NotFiniteError, match=r"has the eigenvalue -0\.1 in element 0"):
-            species.parts(AT, ())
+            species.parts(AT)
     else:
-        assert len(species.parts(AT, ())) == 1
+        assert len(species.parts(AT)) == 1
 
 
 def test_a_tensor_that_is_not_symmetric_is_not_called_indefinite():
     tensor = np.eye(3) + 4 * np.tri(3, k=-1)
     species = ec.Species(1.0, diffusivity=lambda at: np.broadcast_to(tensor, (32, 6, 3, 3)))
     with pytest.raises(ValueError, match=r"diffusivity must be symmetric, but .* up to 4"):
-        species.parts(AT, ())
+        species.parts(AT)
 
 
 AT_REST = ec.laws.Prescribed(motion=lambda p, t: p)
@@ -124,7 +124,7 @@ def test_of_a_negative_coefficient_a_message_names_functions_that_are_there():
         list(ec.evolve(SPACE, problem, 1, 0.1, 0.1))
     bare = ec.Surface(SPACE, SPACE.nodes)
     with pytest.raises(NotFiniteError, match="rate must not be negative, got -1"):
-        ec.Species(1.0, rate=lambda at: -np.ones(at.density.shape)).parts(bare, ())
+        ec.Species(1.0, rate=lambda at: -np.ones(at.density.shape)).parts(bare)
 
 
 OF_PAPER = {
