@@ -10,6 +10,7 @@ from esfem_core.stepping.remeshing import remeshed
 from esfem_core.stepping.respacing import respaced, started_anew
 from esfem_core.stepping.run import MASSES, evolve
 from esfem_core.stepping.scheme import Perturbation
+from esfem_core.stepping.solving import Statistics
 from esfem_core.stepping.start import exact_state
 from esfem_core.stepping.state import (
     EvolutionError,
@@ -19,7 +20,6 @@ from esfem_core.stepping.state import (
     known_space,
     same_space,
 )
-from esfem_core.stepping.systems import Statistics
 from esfem_core.stepping.times import same_time
 
 __all__ = [

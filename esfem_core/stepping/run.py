@@ -52,9 +52,9 @@ from esfem_core.stepping.bdf import MOST_STEPS
 from esfem_core.stepping.checkpoints import close_idle, saving, space_of
 from esfem_core.stepping.guard import EvolutionWarning, Guard
 from esfem_core.stepping.scheme import Perturbation, Scheme
+from esfem_core.stepping.solving import Statistics, Systems
 from esfem_core.stepping.start import euler_states, exact_starts, initial_state
 from esfem_core.stepping.state import Mass, State, check_state
-from esfem_core.stepping.systems import Statistics, Systems
 from esfem_core.stepping.times import TOLERANCE, count_steps, following
 from esfem_core.stepping.units import (
     check_components,

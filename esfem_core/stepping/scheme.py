@@ -23,8 +23,8 @@ from esfem_core.stepping.agreement import innermost
 from esfem_core.stepping.bdf import combine, delta, extrapolate
 from esfem_core.stepping.elimination import Condition, Elimination, conditions
 from esfem_core.stepping.guard import Guard
+from esfem_core.stepping.solving import GUESS, Systems, stacked
 from esfem_core.stepping.state import EvolutionError, Mass, Method, State
-from esfem_core.stepping.systems import GUESS, Systems, stacked
 
 __all__ = ["Perturbation", "Scheme"]
 

@@ -1,4 +1,4 @@
-"""The linear systems of a run: a solver of its own for each kind, and what they have done."""
+"""Solving the linear systems of a run: a solver for each kind, and what they have done."""
 
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence

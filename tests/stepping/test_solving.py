@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_array, csr_array, diags_array
 
 import esfem_core as ec
-from esfem_core.stepping.systems import Systems, stacked
+from esfem_core.stepping.solving import Systems, stacked
 
 SPACE = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
 M, A = SPACE.mass_stiffness(SPACE.nodes)
