@@ -2,8 +2,8 @@
 
 from esfem_core.stepping import bdf
 from esfem_core.stepping.agreement import check_exact_surface
-from esfem_core.stepping.checkpoints import OwnFile, load, save
-from esfem_core.stepping.files import FULL, write_whole
+from esfem_core.stepping.checkpoints import load, save
+from esfem_core.stepping.files import FULL, OwnFile, write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.measure import Measures, measure
 from esfem_core.stepping.remeshing import remeshed

@@ -5,7 +5,6 @@ the scheme has them. A file holds the numbers only, nothing that is executed whe
 problem, the order and the step are given again to :func:`esfem_core.evolve`.
 """
 
-import errno
 import inspect
 import io
 import json
@@ -22,7 +21,7 @@ import numpy as np
 
 from esfem_core.checks import items, level_outside, output_path, path_of, shown
 from esfem_core.elements import SurfaceSpace
-from esfem_core.stepping.files import write_whole
+from esfem_core.stepping.files import OwnFile, write_whole
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import (
     EvolutionError,
@@ -32,7 +31,7 @@ from esfem_core.stepping.state import (
     same_space,
 )
 
-__all__ = ["OwnFile", "close_idle", "load", "save", "saving", "space_of"]
+__all__ = ["close_idle", "load", "save", "saving", "space_of"]
 
 KIND, VERSION = "esfem_core states", 1
 ENDED = "the run has ended: esfem_core.save(path, states) saves what was yielded, elsewhere"
@@ -155,10 +154,10 @@ def saving(
     last = deque(before, maxlen=order + 1)
     n = -order  # of the last step; at 0 the starting values are known
     saved: State | None = None
-    found = _identity(path)  # the file as this run has found it, or has written it
+    own = OwnFile(path)
 
     def keep(then: str = f"the run goes on and tries again after {every} steps") -> None:
-        nonlocal saved, found
+        nonlocal saved
         if n < 0 or not last or saved is last[-1]:
             return
         try:
@@ -172,7 +171,8 @@ def saving(
                 stacklevel=level_outside(),
             )
         else:
-            saved, found = last[-1], _identity(path)
+            saved = last[-1]
+            own.written()
 
     try:
         for n, state in enumerate(states, start=1 - order):
@@ -190,7 +190,7 @@ def saving(
         last.clear()  # do not try again
         raise
     except GeneratorExit:  # left with break, now or long ago
-        if _identity(path) not in (found, None):
+        if own.is_another():
             last.clear()
         raise
     finally:  # also if it is interrupted
@@ -201,47 +201,6 @@ def close_idle(states: Generator[State, None, None]) -> None:
     """Close a run, unless a thread that nobody waits for is in the middle of a step."""
     if inspect.getgeneratorstate(states) != inspect.GEN_RUNNING:
         states.close()
-
-
-class OwnFile:
-    """A file that one run writes again and again, which it leaves alone when another one has.
-
-    Examples
-    --------
-    >>> path = getfixture("tmp_path") / "run.csv"
-    >>> own = OwnFile(path)
-    >>> size = path.write_text("t,u")
-    >>> own.written()
-    >>> own.check()
-    >>> size = path.write_text("the line of another")
-    >>> own.check()
-    Traceback (most recent call last):
-        ...
-    FileExistsError: [Errno 17] something else, such as another run, writes to it...run.csv'
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.written()
-
-    def written(self) -> None:
-        """Take the file that is there for that of this run, after each of its own writes."""
-        self._found = _identity(self._path)
-
-    def check(self) -> None:
-        """Refuse a file that is another than it was; one that was removed may be written anew."""
-        if _identity(self._path) not in (self._found, None):
-            reason = "something else, such as another run, writes to it, too: choose another path"
-            raise FileExistsError(errno.EEXIST, reason, str(self._path))
-
-
-def _identity(path: Path) -> tuple[int, int, int] | None:
-    """What tells the file that is there from any that takes its place; None if there is none."""
-    try:
-        file = path.stat()
-    except OSError:
-        return None
-    return file.st_ino, file.st_mtime_ns, file.st_size
 
 
 def space_of(states: Sequence[State]) -> SurfaceSpace:

@@ -1,4 +1,4 @@
-"""Files that are whole at any moment."""
+"""Files that are whole at any moment, and that one run writes and no other."""
 
 import errno
 import os
@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
-__all__ = ["FULL", "write_whole"]
+__all__ = ["FULL", "OwnFile", "write_whole"]
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors of a full disk, or of what one may have of it."""
@@ -63,3 +63,48 @@ def _permit_as(old: Path, new: Path) -> None:
     """Give a file the permissions of the one whose place it is to take."""
     with suppress(OSError):  # there is none, or the file system knows no permissions
         shutil.copymode(old, new)
+
+
+class OwnFile:
+    """A file that one run writes again and again, which it leaves alone when another one has.
+
+    Examples
+    --------
+    >>> path = getfixture("tmp_path") / "run.csv"
+    >>> own = OwnFile(path)
+    >>> size = path.write_text("t,u")
+    >>> own.written()
+    >>> own.check()
+    >>> size = path.write_text("the line of another")
+    >>> own.check()
+    Traceback (most recent call last):
+        ...
+    FileExistsError: [Errno 17] something else, such as another run, writes to it...run.csv'
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.written()
+
+    def written(self) -> None:
+        """Take the file that is there for that of this run, after each of its own writes."""
+        self._found = _identity(self._path)
+
+    def is_another(self) -> bool:
+        """Whether the file is another than it was; one that was removed may be written anew."""
+        return _identity(self._path) not in (self._found, None)
+
+    def check(self) -> None:
+        """Refuse a file that is another than it was."""
+        if self.is_another():
+            reason = "something else, such as another run, writes to it, too: choose another path"
+            raise FileExistsError(errno.EEXIST, reason, str(self._path))
+
+
+def _identity(path: Path) -> tuple[int, int, int] | None:
+    """What tells the file that is there from any that takes its place; None if there is none."""
+    try:
+        file = path.stat()
+    except OSError:
+        return None
+    return file.st_ino, file.st_mtime_ns, file.st_size
