@@ -8,6 +8,7 @@ import numpy as np
 
 from esfem_core.checks import Array, object_of
 from esfem_core.stepping.state import State
+from esfem_core.surfaces import angles_of
 
 __all__ = ["Measures", "measure"]
 
@@ -92,15 +93,7 @@ def measure(state: State) -> Measures:
         volume=float(third) if closed else float("nan"),
         centre=centre,
         h=at.space.mesh_size(state.x),
-        min_angle=_smallest_angle(corners),
+        min_angle=float(np.degrees(angles_of(corners)).min()),
         amount=amounts.get("u", float("nan")),
         amounts=MappingProxyType(amounts),
     )
-
-
-def _smallest_angle(corners: Array) -> float:
-    """Smallest angle of triangles (T, 3, 3), in degrees."""
-    p = np.roll(corners, -1, axis=1) - corners
-    q = np.roll(corners, 1, axis=1) - corners
-    sine = np.linalg.norm(np.cross(p, q), axis=2)
-    return float(np.degrees(np.arctan2(sine, (p * q).sum(axis=2))).min())

@@ -21,7 +21,7 @@ from esfem_core.surfaces.orientation import (
     volumes,
 )
 from esfem_core.surfaces.places import without_unused
-from esfem_core.surfaces.quality import Quality, mesh_quality
+from esfem_core.surfaces.quality import Quality, angles_of, mesh_quality
 from esfem_core.surfaces.relaxation import Evened, Guide, evened, resized
 from esfem_core.surfaces.repair import repair
 from esfem_core.surfaces.shapes import bisected_sphere, displaced, sphere, to_unit_sphere, torus
@@ -39,6 +39,7 @@ __all__ = [
     "MeshingError",
     "Quality",
     "SmoothSurface",
+    "angles_of",
     "bisected_sphere",
     "boundary_advice",
     "central_gradient",

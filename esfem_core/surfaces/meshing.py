@@ -24,7 +24,7 @@ from esfem_core.surfaces.level_set import (
     with_its_gradient,
 )
 from esfem_core.surfaces.orientation import components
-from esfem_core.surfaces.quality import Quality
+from esfem_core.surfaces.quality import Quality, angles_of
 from esfem_core.surfaces.relaxation import (
     MAX_ROUNDS,
     MEAN_RATIO,
@@ -365,8 +365,7 @@ def _at_crease(place: Array, corners: Array, gradient: Field) -> str:
 
 
 def _shortcoming(tri: trimesh.Trimesh, reached: Quality, h: float) -> str:
-    angles = np.degrees(tri.face_angles)
-    worst = tri.triangles_center[int(np.argmin(angles.min(axis=1)))]
+    worst = tri.triangles_center[int(np.argmin(angles_of(tri.triangles).min(axis=1)))]
     if reached.h_min < SHORTEST * h and reached.min_angle >= MIN_ANGLE:
         return (
             f"h must be smaller for this surface, got {h:g}: a closed mesh of it has edges of "

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from esfem_core.checks import Array
 from esfem_core.surfaces.faults import check_is_trimesh
 from esfem_core.surfaces.orientation import sides_of
 from esfem_core.tables import html_table
 
-__all__ = ["Quality", "mesh_quality"]
+__all__ = ["Quality", "angles_of", "mesh_quality"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,23 @@ class Quality:
         return html_table(["quality", ""], self._rows()).text
 
 
+def angles_of(corners: Array) -> Array:
+    """Angles of triangles (T, 3, 3) at their corners, (T, 3), in radians.
+
+    They are 0 at corners that coincide.
+
+    Examples
+    --------
+    >>> np.degrees(angles_of(np.eye(3)[None])).round(10).tolist()
+    [[60.0, 60.0, 60.0]]
+    """
+    after = np.roll(corners, -1, axis=1) - corners
+    before = np.roll(corners, 1, axis=1) - corners
+    sine = np.linalg.norm(np.cross(after, before), axis=2)
+    cosine = (after * before).sum(axis=2) + 0.0  # of -0.0, arctan2 would make half a turn
+    return np.asarray(np.arctan2(sine, cosine))
+
+
 def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     """Measure the triangles of a mesh.
 
@@ -107,11 +125,10 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
         raise ValueError(f"tri must have finite vertices, but vertex {i} is {vertices[i].tolist()}")
     _, scale = np.frexp(np.abs(corners).max())  # a power of 2: it rounds nothing
     corners = np.ldexp(corners, -scale)
-    sides = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # opposite to each corner
+    sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.linalg.norm(sides, axis=2)
     double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    cosines = -(np.roll(sides, -1, axis=1) * np.roll(sides, 1, axis=1)).sum(axis=2)
-    angles = np.degrees(np.arctan2(double_area[:, None], cosines))
+    angles = np.degrees(angles_of(corners))
     products = lengths.sum(axis=1) * lengths.prod(axis=1)
     ratio = 4 * double_area**2 / np.where(products > 0, products, 1)  # 0 if corners coincide
     return Quality(

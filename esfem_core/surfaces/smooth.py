@@ -28,6 +28,7 @@ from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.graphs import Graphs, fit_graphs
 from esfem_core.surfaces.orientation import fans, sides_of
+from esfem_core.surfaces.quality import angles_of
 
 __all__ = ["SmoothSurface", "smooth"]
 
@@ -315,9 +316,7 @@ class _Flat:
 
     def mean_normals(self, fan: Ints) -> Array:
         """Unit normals of fans, (F, 3): means over the triangles, weighted by their angles."""
-        before = -np.roll(self.sides, 1, axis=1)
-        sine = np.linalg.norm(np.cross(self.sides, before), axis=2)
-        angles = np.arctan2(sine, (self.sides * before).sum(axis=2))
+        angles = angles_of(self.corners)
         total = np.zeros((int(fan.max()) + 1, 3))
         np.add.at(total, fan, angles[..., None] * self.normals[:, None])
         one = np.empty_like(total)

@@ -50,6 +50,11 @@ def test_a_collapsed_triangle_has_ratio_zero():
     assert q.mean_ratio == pytest.approx(0.5)
 
 
+def test_a_triangle_that_is_a_point_has_no_angles():
+    q = ec.mesh_quality(trimesh.Trimesh(np.eye(3), [[0, 1, 2], [0, 0, 0]], process=False))
+    assert (q.min_angle, q.max_angle) == pytest.approx((0, 60))
+
+
 def test_only_triangles_can_be_measured():
     with pytest.raises(TypeError, match=r"tri must be a trimesh\.Trimesh, got None"):
         ec.mesh_quality(None)
