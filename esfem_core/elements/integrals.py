@@ -26,7 +26,7 @@ import numpy as np
 from esfem_core.checks import Array, Bools, ReadOnly, read_only
 from esfem_core.elements.lagrange import Basis
 from esfem_core.elements.quadrature import TriangleRule
-from esfem_core.surfaces import FLATTEST
+from esfem_core.surfaces import FLATTEST, NO_LENGTH
 
 __all__ = [
     "CHUNK",
@@ -39,7 +39,6 @@ __all__ = [
 
 CHUNK = 24576  # points at which the metric is computed at a time: few calls, arrays of 0.2 MB each
 LEAST = FLATTEST / np.sqrt(3)  # smallest allowed s/(E + G - F), as for flat triangles
-ROUNDING = 1e-14  # tangents shorter than this share of the coordinates are rounding errors
 
 
 class ElementError(ArithmeticError):
@@ -150,7 +149,7 @@ class ElementTables(ReadOnly):
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             E, F, G = _dot(t1, t1), _dot(t1, t2), _dot(t2, t2)
             s2 = E * G - F * F
-            smallest = (ROUNDING * np.abs(nodes[:, 0]).max()) ** 2
+            smallest = (NO_LENGTH * np.abs(nodes[:, 0]).max()) ** 2
             # One comparison for all; where it fails, element by element.
             if not s2.min() > (1.5 * LEAST * (E.max() + G.max()) + smallest) ** 2:
                 sound = s2 > (LEAST * (E + G - F) + smallest) ** 2

@@ -7,7 +7,7 @@ from esfem_core.surfaces import exact_surfaces
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.differences import central_stencil, derivative
 from esfem_core.surfaces.edges import Edges, collapse, edges_of, flip, split
-from esfem_core.surfaces.faults import FLATTEST, Fault, check_coordinates, fault
+from esfem_core.surfaces.faults import FLATTEST, NO_LENGTH, Fault, check_coordinates, fault
 from esfem_core.surfaces.files import curved_elements, read_mesh
 from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.level_set import central_gradient, descend, project_to_level_set
@@ -30,6 +30,7 @@ from esfem_core.surfaces.sources import Elements
 
 __all__ = [
     "FLATTEST",
+    "NO_LENGTH",
     "Edges",
     "Elements",
     "Evened",

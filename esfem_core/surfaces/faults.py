@@ -23,6 +23,7 @@ from esfem_core.surfaces.places import NEAR, diagonal_of, joined, merged, repeat
 __all__ = [
     "FARTHEST",
     "FLATTEST",
+    "NO_LENGTH",
     "Fault",
     "check_coordinates",
     "check_is_trimesh",
@@ -36,9 +37,8 @@ __all__ = [
 FLATTEST = 1e-7
 """Smallest quality of a triangle that is allowed; an equilateral one has 1."""
 
-# Sides shorter than this share of the coordinates are rounding errors; as for elements, by the same
-# number in elements/integrals.py.
-ROUNDING = 1e-14
+NO_LENGTH = 1e-14
+"""Share of the coordinates below which a side or a tangent is a rounding error."""
 
 # What a repair turns as well, but that would close a surface that is meant to be open.
 TURNING = (
@@ -180,7 +180,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
 def without_area(vertices: Array, faces: Ints) -> Bools:
     """Which triangles have no area to speak of, (T,): the limit for elements of a run, too."""
     area, squares = _areas(vertices, faces)
-    lost = (ROUNDING * np.abs(vertices[faces]).max(initial=0.0)) ** 2  # twice an area
+    lost = (NO_LENGTH * np.abs(vertices[faces]).max(initial=0.0)) ** 2  # twice an area
     return np.asarray(~(4 * np.sqrt(3) * area > FLATTEST * squares + 2 * np.sqrt(3) * lost))
 
 
