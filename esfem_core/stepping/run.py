@@ -70,7 +70,7 @@ StartName = Literal["exact", "euler"]
 MASSES: tuple[Mass, ...] = get_args(Mass)
 """The choices of `mass` of :func:`evolve`."""
 
-EVERY = 50  # steps from save to save if `every` is not given: its default
+EVERY = 50  # steps from save to save if `every` is not given
 
 
 def evolve(
@@ -88,7 +88,7 @@ def evolve(
     growth: float = 1e12,
     statistics: Statistics | None = None,
     save: str | os.PathLike[str] | None = None,
-    every: int = 50,
+    every: int = EVERY,
     threads: int | None = None,
 ) -> Iterator[State]:
     r"""Solve a problem on an evolving surface by surface finite elements and BDF.
