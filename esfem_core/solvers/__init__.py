@@ -3,10 +3,11 @@
 Knows arrays only, no mesh class and no problem.
 """
 
+from esfem_core.solvers.conjugate_gradients import ROUNDING
 from esfem_core.solvers.dissection import Dissection, dissect
 from esfem_core.solvers.factors import DirectSolver, Factor, Solver, cholmod, superlu
 from esfem_core.solvers.fronts import Fronts
-from esfem_core.solvers.lagged import LaggedSolver
+from esfem_core.solvers.lagged import RTOL, LaggedSolver
 from esfem_core.solvers.multifrontal import BlockFactor, factorise
 from esfem_core.solvers.products import times, times_rows
 from esfem_core.solvers.systems import require_small_residual, right_hand_side
@@ -23,6 +24,8 @@ from esfem_core.solvers.threads import (
 __all__ = [
     "BLAS_THREADS",
     "MOST_THREADS",
+    "ROUNDING",
+    "RTOL",
     "BlockFactor",
     "DirectSolver",
     "Dissection",

@@ -12,7 +12,12 @@ from scipy.sparse import csr_array
 from esfem_core.checks import Array
 from esfem_core.solvers.products import times_rows
 
-__all__ = ["Outcome", "Tolerance", "pcg", "tolerance"]
+__all__ = ["ROUNDING", "Outcome", "Tolerance", "pcg", "tolerance"]
+
+# The largest entry of a positive definite matrix is on its diagonal and bounds the rounding errors
+# in A x, below which no residual can be brought.
+ROUNDING = 4 * np.finfo(float).eps
+"""Share of the largest entry of A, times the norm of x, that residuals are always allowed."""
 
 
 class Tolerance(NamedTuple):
@@ -61,10 +66,7 @@ def tolerance(A: csr_array, squares: Array, rtol: float) -> Tolerance:
     -------
     Tolerance
     """
-    # The largest entry of a positive definite matrix is on its diagonal and bounds the rounding
-    # errors in A x, below which no residual can be brought.
-    rounding = 4 * np.finfo(float).eps * A.data.max()
-    return Tolerance(rtol**2 * np.where(squares > 0, squares, 1.0), rounding)
+    return Tolerance(rtol**2 * np.where(squares > 0, squares, 1.0), ROUNDING * A.data.max())
 
 
 class Outcome(NamedTuple):

@@ -26,7 +26,10 @@ from esfem_core.solvers.systems import (
     square,
 )
 
-__all__ = ["LaggedSolver"]
+__all__ = ["RTOL", "LaggedSolver"]
+
+RTOL = 1e-11
+"""Residual over right-hand side to which conjugate gradients go if nothing else is said."""
 
 LARGEST = 1e135  # of rounding errors in A x, about those of entries of 1e150
 FAR = 1e100  # above it, and below its inverse, products of residuals may leave the range of numbers
@@ -80,7 +83,7 @@ class LaggedSolver:
 
     def __init__(
         self,
-        rtol: float = 1e-11,
+        rtol: float = RTOL,
         price: int = 30,
         factorise: Callable[[csr_array], Factor] = superlu,
     ) -> None:

@@ -14,6 +14,7 @@ from esfem_core.checks import Array, level_outside
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.laws import Dynamic, Prescribed, Regularised, Species
 from esfem_core.problems import Problem
+from esfem_core.solvers import ROUNDING, RTOL
 from esfem_core.stepping.agreement import innermost
 from esfem_core.stepping.bdf import delta
 from esfem_core.stepping.guard import EvolutionWarning
@@ -28,14 +29,10 @@ __all__ = ["check_components", "check_rates", "check_units", "factor_to_size_one
 # proportionally more for larger s, with every solver.
 LARGEST = 1e8
 
-# Conjugate gradients leave a residual of 1e-11 of the whole right-hand side, or of the rounding
-# errors in K w (solvers/conjugate_gradients.py), wherever K is smallest.
-RESIDUAL = 1e-11
-ROUNDING = 4 * np.finfo(float).eps
 LOST = 1e-6  # of the largest value: from here on worth a warning
 # What is lost on a component where its right-hand side is as large as the whole: measured with 20
 # to 5,120 triangles each, for ratios of areas of 1e2 to 1e6.
-LOST_ALONE = 10 * RESIDUAL
+LOST_ALONE = 10 * RTOL
 ITERATIVE = ("lagged", "cholmod")
 
 
@@ -116,8 +113,8 @@ def check_rates(
             warnings.warn(
                 f"the rate of {name!r} is so much larger at some places than at others that, where "
                 f"it is small, each step may lose up to {lost:.1g} of {name!r}: solver={solver!r} "
-                "leaves a residual of 1e-11 of the whole right-hand side. Take a smaller rate or "
-                'solver="direct"; values that are given at nodes need no rate, but '
+                f"leaves a residual of {RTOL:g} of the whole right-hand side. Take a smaller rate "
+                'or solver="direct"; values that are given at nodes need no rate, but '
                 "Species(fixed=(nodes, values))",
                 EvolutionWarning,
                 stacklevel=level_outside(),
@@ -166,7 +163,7 @@ def check_components(
         warnings.warn(
             f"component {i} of the surface has {share:.1g} of its area, so little that steps may "
             f"lose a share of about {min(lost, 1):.1g} of the values there: solver={solver!r} "
-            'leaves a residual of 1e-11 of the whole right-hand side. Take solver="direct"',
+            f'leaves a residual of {RTOL:g} of the whole right-hand side. Take solver="direct"',
             EvolutionWarning,
             stacklevel=level_outside(),
         )
@@ -176,7 +173,9 @@ def _lost(species: Species, at: Surface, name: str, weight: float) -> float:
     """A bound of what residuals leave in a species in a step, over its largest value.
 
     K = weight M + A + (mass matrix of the rate), and the right-hand side, have weight + rate and
-    weight u + source as densities: their quotient is about the new u.
+    weight u + source as densities: their quotient is about the new u. Conjugate gradients leave
+    a residual of RTOL of the whole right-hand side, or of the rounding errors in K u, wherever K is
+    smallest.
     """
     u = np.abs(at[name])
     [part, *_] = species.parts(at)
@@ -186,7 +185,7 @@ def _lost(species: Species, at: Surface, name: str, weight: float) -> float:
     b = weight * u + np.abs(0.0 if source is None else source)
     values = (b / K).max(axis=(0, 1))
     shares = (b.max(axis=(0, 1)) / K.min())[values > 0] / values[values > 0]
-    return float(RESIDUAL * shares.max(initial=0.0) + ROUNDING * K.max() / K.min())
+    return float(RTOL * shares.max(initial=0.0) + ROUNDING * K.max() / K.min())
 
 
 def _large(problem: Problem, step: float) -> Iterator[tuple[str, float, str]]:
