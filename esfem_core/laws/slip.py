@@ -151,9 +151,9 @@ class _Reference:
     def __init__(self, space: SurfaceSpace) -> None:
         at = Surface(space, space.nodes)
         self.M, self.A, self.density = at.M, at.A, at.density
-        self._measure = at.density * space.rule.weights
+        self._weights = at.density * space.rule.weights
         self._component = components(space.cells[:, :3])
-        self._area = np.bincount(self._component, self._measure.sum(axis=1))
+        self._area = np.bincount(self._component, self._weights.sum(axis=1))
         # Of each node, the squared radius of a sphere as large as its component.
         self._s = np.empty(len(space.nodes))
         self._s[space.cells] = self._area[self._component, None] / (4 * np.pi)
@@ -166,7 +166,7 @@ class _Reference:
 
     def mean(self, values: Array) -> Array:
         """Of values at the quadrature points, (T, Q), those over the component, (T, 1)."""
-        sums = np.bincount(self._component, (self._measure * values).sum(axis=1))
+        sums = np.bincount(self._component, (self._weights * values).sum(axis=1))
         means: Array = sums / self._area
         return means[self._component, None]
 

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from esfem_core.checks import Array
 from esfem_core.solvers.products import times_rows
 
-__all__ = ["ROUNDING", "Outcome", "Tolerance", "pcg", "tolerance"]
+__all__ = ["ROUNDING", "Approximation", "Tolerance", "pcg", "tolerance"]
 
 # The largest entry of a positive definite matrix is on its diagonal and bounds the rounding errors
 # in A x, below which no residual can be brought.
@@ -69,7 +69,7 @@ def tolerance(A: csr_array, squares: Array, rtol: float) -> Tolerance:
     return Tolerance(rtol**2 * np.where(squares > 0, squares, 1.0), ROUNDING * A.data.max())
 
 
-class Outcome(NamedTuple):
+class Approximation(NamedTuple):
     """What conjugate gradients have come to.
 
     Attributes
@@ -97,7 +97,7 @@ def pcg(
     precondition: Callable[[Array], Array],
     allowed: Tolerance,
     most: int,
-) -> Outcome:
+) -> Approximation:
     """Solve A x = b by conjugate gradients, each row of b on its own (Saad, 2003, algorithm 9.1).
 
     In the end a constant is added to each solution, such that the sum of its residual is zero; its
@@ -121,7 +121,7 @@ def pcg(
 
     Returns
     -------
-    Outcome
+    Approximation
 
     References
     ----------
@@ -150,9 +150,9 @@ def pcg(
     while True:  # step 2
         if end <= 1:
             _balance(A, x, r, allowed)
-            return Outcome(x, k, start, end, converged=True)
+            return Approximation(x, k, start, end, converged=True)
         if k == most or not np.isfinite(end):
-            return Outcome(x, k, start, end, converged=False)
+            return Approximation(x, k, start, end, converged=False)
         z = precondition(r.T).T  # step 6
         rz = np.vecdot(r, z)
         p *= (rz / rz_old)[:, None]  # steps 7 and 8, beta = rz / rz_old

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from esfem_core.checks import Array, Ints, function, integer_array, package
 from esfem_core.solvers.systems import (
     check_factor,
-    check_symmetric,
+    check_halves,
     require_finite,
     require_small_residual,
     right_hand_side,
@@ -68,7 +68,7 @@ def _elimination_order(A: csr_array, order: Ints | None) -> Ints:
             f"A must hold numbers of double precision, got {A.dtype}: A.astype(float) has them"
         )
     require_finite(A)
-    check_symmetric(A)
+    check_halves(A)
     if order is None:
         return np.arange(n)
     order = integer_array("order", order, ("N",))

@@ -8,7 +8,7 @@ from esfem_core.checks import Array, real_array, shown
 
 __all__ = [
     "check_factor",
-    "check_symmetric",
+    "check_halves",
     "require_finite",
     "require_small_residual",
     "require_solved",
@@ -65,12 +65,12 @@ def require_finite(A: csr_array) -> None:
         raise np.linalg.LinAlgError("A must be finite, but has entries that are not")
 
 
-def check_symmetric(A: csr_array) -> None:
-    """Refuse a matrix of which factorisations that read one half would solve another system.
+def check_halves(A: csr_array) -> None:
+    """Refuse a matrix whose halves differ: factorisations that read one would solve another system.
 
     Examples
     --------
-    >>> check_symmetric(csr_array([[1.0, 0.5], [0.0, 1.0]]))
+    >>> check_halves(csr_array([[1.0, 0.5], [0.0, 1.0]]))
     Traceback (most recent call last):
         ...
     ValueError: A must be symmetric and positive definite, but is not symmetric
