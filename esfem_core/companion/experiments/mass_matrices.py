@@ -100,7 +100,7 @@ def _norm(M: csr_array, A: csr_array, w: Array) -> float:
     return float(np.hypot(ec.errors.seminorm(M, w), ec.errors.seminorm(A, w)))
 
 
-class Surface(NamedTuple):
+class Setting(NamedTuple):
     """A problem, a mesh and the times between which runs are compared."""
 
     problem: Callable[[], ec.Problem]
@@ -129,9 +129,9 @@ def _sphere_mesh() -> ec.SurfaceSpace:
 
 
 SURFACES = {
-    "growing sphere": Surface(ec.problems.growing_sphere, _sphere_mesh, 0.25, 1.0),
-    "ellipsoid": Surface(_ellipsoid, _ellipsoid_mesh, 0.25, 1.0),
-    "expanding sphere": Surface(
+    "growing sphere": Setting(ec.problems.growing_sphere, _sphere_mesh, 0.25, 1.0),
+    "ellipsoid": Setting(_ellipsoid, _ellipsoid_mesh, 0.25, 1.0),
+    "expanding sphere": Setting(
         lambda: ec.problems.expanding_sphere("smooth"), _sphere_mesh, 0.0, 0.5
     ),
 }
