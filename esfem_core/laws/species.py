@@ -236,15 +236,17 @@ class Species(ReadOnly):
             )
         return u
 
-    def parts(self, at: Surface) -> list[Part]:
-        """The components in groups of equal diffusivity."""
-        rate = self._coefficient("rate", 0.0 if self.rate is None else self.rate, at, [()])
+    def parts(self, name: str, at: Surface) -> list[Part]:
+        """The components of the species of this name in groups of equal diffusivity."""
+        called = f"the rate of {name!r}"
+        rate = self._coefficient(called, 0.0 if self.rate is None else self.rate, at, [()])
         D = self.diffusivity
         if callable(D):
-            D = self._coefficient("diffusivity", D, at, [(), (3, 3)])
+            called = f"the diffusivity of {name!r}"
+            D = self._coefficient(called, D, at, [(), (3, 3)])
             if D.ndim == 4:
-                check_tensors("diffusivity", D)  # eigvalsh reads one half only
-                _require_definite(D, at)
+                check_tensors(called, D)  # eigvalsh reads one half only
+                _require_definite(called, D, at)
         elif np.ndim(D) == 1:
             return [Part(np.equal(D, value), float(value), rate) for value in np.unique(D)]
         return [Part(slice(None), D, rate)]
@@ -368,7 +370,7 @@ def _check_pair(called: str, returned: object, at: Surface, trailing: tuple[int,
         )
 
 
-def _require_definite(D: Array, at: Surface) -> None:
+def _require_definite(name: str, D: Array, at: Surface) -> None:
     """Diffusion tensors must not have a negative eigenvalue on the tangent plane."""
     P = np.eye(3) - at.normal[..., :, None] * at.normal[..., None, :]
     lowest = np.linalg.eigvalsh(P @ D @ P)[..., 0]
@@ -376,7 +378,7 @@ def _require_definite(D: Array, at: Surface) -> None:
     if bad.any():
         element = int(np.argmax(bad.any(axis=1)))
         raise NotFiniteError(
-            "diffusivity must be positive semidefinite on the tangent planes, but has the "
+            f"{name} must be positive semidefinite on the tangent planes, but has the "
             f"eigenvalue {lowest[element].min():.6g} in element {element}; {_undershoot(at)}",
             element,
         )

@@ -202,7 +202,7 @@ class Scheme:
         groups: dict[object, list[tuple[str, Part]]] = {}
         for name, one in species.items():
             loads[name] = levels.load(name, one)
-            for i, part in enumerate(one.parts(at)):
+            for i, part in enumerate(one.parts(name, at)):
                 key = (one.conserved, part.key, self._elimination(name)) if part.key else (name, i)
                 groups.setdefault(key, []).append((name, part))
         new = {name: np.empty_like(b) for name, b in loads.items()}

@@ -178,7 +178,7 @@ def _lost(species: Species, at: Surface, name: str, weight: float) -> float:
     smallest.
     """
     u = np.abs(at[name])
-    [part, *_] = species.parts(at)
+    [part, *_] = species.parts(name, at)
     given = None if species.source is None else species.source(at)
     source = given[0] if isinstance(given, tuple) else given  # a flux is not looked at
     K = (weight + part.rate).reshape(*u.shape[:2], *(1,) * (u.ndim - 2))

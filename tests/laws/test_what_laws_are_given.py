@@ -56,16 +56,16 @@ def test_a_tensor_with_one_negative_eigenvalue_on_the_tangent_plane_is_refused(l
     species = ec.Species(1.0, diffusivity=lambda at: tensor)
     if lowest < 0:
         with pytest.raises(NotFiniteError, match=r"has the eigenvalue -0\.1 in element 0"):
-            species.parts(AT)
+            species.parts("u", AT)
     else:
-        assert len(species.parts(AT)) == 1
+        assert len(species.parts("u", AT)) == 1
 
 
 def test_a_tensor_that_is_not_symmetric_is_not_called_indefinite():
     tensor = np.eye(3) + 4 * np.tri(3, k=-1)
     species = ec.Species(1.0, diffusivity=lambda at: np.broadcast_to(tensor, (32, 6, 3, 3)))
-    with pytest.raises(ValueError, match=r"diffusivity must be symmetric, but .* up to 4"):
-        species.parts(AT)
+    with pytest.raises(ValueError, match=r"diffusivity of 'u' must be symmetric, but .* up to 4"):
+        species.parts("u", AT)
 
 
 AT_REST = ec.laws.Prescribed(motion=lambda p, t: p)
@@ -123,8 +123,31 @@ def test_of_a_negative_coefficient_a_message_names_functions_that_are_there():
     with pytest.raises(ec.EvolutionError, match=advice):
         list(ec.evolve(SPACE, problem, 1, 0.1, 0.1))
     bare = ec.Surface(SPACE, SPACE.nodes)
-    with pytest.raises(NotFiniteError, match="rate must not be negative, got -1"):
-        ec.Species(1.0, rate=lambda at: -np.ones(at.density.shape)).parts(bare)
+    with pytest.raises(NotFiniteError, match="rate of 'u' must not be negative, got -1"):
+        ec.Species(1.0, rate=lambda at: -np.ones(at.density.shape)).parts("u", bare)
+
+
+ASYMMETRIC = np.eye(3) + np.tri(3, k=-1)
+WRONG_COEFFICIENTS = {
+    "negative": (lambda at: -np.ones(at.density.shape), "must not be negative"),
+    "not finite": (lambda at: np.full(at.density.shape, np.nan), "returned nan in element 0"),
+    "of another shape": (lambda at: np.ones(5), "must return an array of shape"),
+    "no numbers": (lambda at: None, "returns must hold real numbers"),
+    "indefinite": (lambda at: np.multiply.outer(-at["b"], np.eye(3)), "must be positive semidef"),
+    "asymmetric": (lambda at: np.multiply.outer(at["b"], ASYMMETRIC), "must be symmetric"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_COEFFICIENTS)
+@pytest.mark.parametrize("of", ["rate", "diffusivity"])
+def test_of_several_species_a_message_names_that_of_the_wrong_coefficient(of, kind):
+    given, message = WRONG_COEFFICIENTS[kind]
+    if of == "rate" and kind in ("indefinite", "asymmetric"):  # a rate is no tensor
+        message = "must return an array of shape"
+    species = {"a": ec.Species(1.0, rate=lambda at: at["a"]), "b": ec.Species(1.0, **{of: given})}
+    problem = ec.Problem(species=species, law=AT_REST)
+    with pytest.raises((ValueError, TypeError, ec.EvolutionError), match=f"{of} of 'b' {message}"):
+        list(ec.evolve(SPACE, problem, 1, 0.1, 0.1))
 
 
 OF_PAPER = {

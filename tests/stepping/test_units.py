@@ -252,5 +252,5 @@ def test_a_rate_of_several_components_is_warned_of_and_a_faulty_one_left_to_the_
         0.1,
         0.1,
     )
-    with pytest.raises(ec.EvolutionError, match="rate must not be negative"):
+    with pytest.raises(ec.EvolutionError, match="rate of 'u' must not be negative"):
         list(run)
