@@ -29,8 +29,7 @@ class Quality:
     mean_ratio, min_ratio : float
         Ratio of radii 2 r_in/r_out, 1 for equilateral triangles, 0 for degenerate ones.
     h_min, h_mean, h_max : float
-        Lengths of the edges. The mean is over the sides of all triangles: an edge at a boundary
-        counts half of an inner one.
+        Lengths of the edges, each of which counts once in the mean, also at a boundary.
     """
 
     vertices: int
@@ -131,15 +130,17 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     angles = np.degrees(angles_of(corners))
     products = lengths.sum(axis=1) * lengths.prod(axis=1)
     ratio = 4 * double_area**2 / np.where(products > 0, products, 1)  # 0 if corners coincide
+    edges = sides_of(faces)
+    share = 1 / np.roll(edges.times.reshape(-1, 3), -1, axis=1)  # of the side opposite to a corner
     return Quality(
         vertices=len(tri.vertices),
         triangles=len(tri.faces),
-        euler=len(np.unique(faces)) - int(sides_of(faces).edge.max()) - 1 + len(faces),
+        euler=len(np.unique(faces)) - int(edges.edge.max()) - 1 + len(faces),
         min_angle=float(angles.min()),
         max_angle=float(angles.max()),
         mean_ratio=float(ratio.mean()),
         min_ratio=float(ratio.min()),
         h_min=float(np.ldexp(lengths.min(), scale)),
-        h_mean=float(np.ldexp(lengths.mean(), scale)),
+        h_mean=float(np.ldexp(np.average(lengths, weights=share), scale)),
         h_max=float(np.ldexp(lengths.max(), scale)),
     )

@@ -31,11 +31,19 @@ def test_angles_lengths_and_ratios_agree_with_trimesh_and_the_radii():
     )
 
 
-def test_at_a_boundary_an_edge_counts_half_in_the_mean():
-    """A square of two triangles: its diagonal is a side of both."""
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_each_edge_counts_once_in_the_mean(turn):
+    """A square of two triangles: its diagonal is a side of both, wherever their corners begin."""
     corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
-    q = ec.mesh_quality(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
-    assert q.h_mean == pytest.approx((4 * 1 + 2 * np.sqrt(2)) / 6)
+    faces = [np.roll([0, 1, 2], turn), [0, 2, 3]]
+    q = ec.mesh_quality(trimesh.Trimesh(corners, faces, process=False))
+    assert q.h_mean == pytest.approx((4 * 1 + np.sqrt(2)) / 5)
+
+
+def test_on_a_closed_surface_the_mean_of_edges_is_that_of_sides():
+    tri = trimesh.creation.torus(2.0, 0.5)
+    sides = np.linalg.norm(np.diff(tri.triangles[:, [0, 1, 2, 0]], axis=1), axis=2)
+    assert ec.mesh_quality(tri).h_mean == pytest.approx(sides.mean(), rel=1e-14)
 
 
 def test_a_notebook_shows_a_table():
