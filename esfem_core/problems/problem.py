@@ -8,7 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from esfem_core.checks import Array, check_nodes, finite_array, function, mapping, number, shown
+from esfem_core.checks import (
+    Array,
+    check_arguments,
+    check_nodes,
+    finite_array,
+    function,
+    mapping,
+    number,
+    shown,
+)
 from esfem_core.laws import (
     Law,
     Prescribed,
@@ -22,6 +31,8 @@ from esfem_core.laws import (
 __all__ = ["Exact", "Problem", "at_points"]
 
 RESERVED = ("x", "v")  # names of positions and velocities
+OF_INITIAL = "p has points (n, 3) of the initial surface, t is the time"
+OF_PRESENT = "x has points (n, 3) of the surface at time t"
 NORMAL = "normal"  # the name under which a law may carry the normal
 
 
@@ -58,7 +69,7 @@ class Exact(_Functions):
     Raises
     ------
     TypeError
-        If one is no function where one is needed.
+        If one is no function where one is needed, or one of other arguments.
     """
 
     __slots__ = ()
@@ -74,11 +85,15 @@ class Exact(_Functions):
     ) -> "Exact":
         function("x", x, "X(p, t) of points (n, 3) and a time")
         function("v", v, "v(p, t) of points (n, 3) and a time")
+        check_arguments("x", x, "p, t", OF_INITIAL)
+        check_arguments("v", v, "p, t", OF_INITIAL)
         for name, value in (("u", u), ("closest", closest), ("origin", origin)):
             if value is not None:
                 function(name, value, f"{name}(x, t) of points (n, 3) and a time, or None")
+                check_arguments(name, value, "x, t", OF_PRESENT)
         for name, value in mapping("fields", fields, "functions of (x, t)").items():
             function(f"fields[{name!r}]", value, "of points (n, 3) and a time")
+            check_arguments(f"fields[{name!r}]", value, "x, t", OF_PRESENT)
         return super().__new__(cls, x, v, u, closest, origin, fields)
 
     def __getnewargs__(self) -> tuple[Any, ...]:  # for copies; a read-only view cannot be copied

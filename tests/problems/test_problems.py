@@ -248,6 +248,22 @@ def test_species_are_species_and_not_those_of_the_law():
         ec.Problem(species={"n": ONE}, law=WithNormal())
 
 
+@pytest.mark.parametrize("wrong", [lambda t: t, lambda x: x, lambda x, y, z, t: x, lambda: 0.0])
+@pytest.mark.parametrize("name", ["x", "v", "u", "closest", "origin", "w"])
+def test_functions_of_an_exact_solution_take_points_and_a_time(name, wrong):
+    def given(f):
+        return {"fields": {"w": f}} if name == "w" else {name: f}
+
+    right = {"x": lambda p, t: p, "v": lambda p, t: 0 * p}
+    called = r"fields\['w'\]" if name == "w" else name
+    taken, of = ("p, t", "of the initial surface") if name in "xv" else ("x, t", "at time t")
+    message = rf"^{called} must be a function of \({taken}\), got one of \(.*\); .* {of}"
+    with pytest.raises(TypeError, match=message):
+        ec.Exact(**right | given(wrong))
+    for f in (lambda x, t, scale=2.0: x, lambda *both: both[0], np.multiply):
+        ec.Exact(**right | given(f))
+
+
 def test_a_law_needs_a_motion_or_a_velocity_and_not_both():
     message = "exactly one of motion and velocity must be given"
     for given in ({}, {"motion": lambda p, t: p, "velocity": lambda x, t: x}):
