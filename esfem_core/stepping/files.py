@@ -18,7 +18,8 @@ def write_whole(path: Path, data: bytes) -> None:
 
     The bytes go to a hidden file beside it, are forced to the disk, and take its place in one step.
     Of several processes that write one file at once, the last one's is there. Who could read the
-    old one can read the new one, and nobody else.
+    old one can read the new one, and nobody else. One that is write-protected stays, also if it was
+    protected in the middle of a run.
 
     Parameters
     ----------
@@ -43,6 +44,7 @@ def write_whole(path: Path, data: bytes) -> None:
     # Unlike tempfile, open gives it the permissions of any new file.
     beside = path.with_name(f".{uuid4().hex}.part")
     try:
+        _require_unprotected(path)
         with beside.open("xb") as file:
             _permit_as(path, beside)
             file.write(data)
@@ -57,6 +59,12 @@ def write_whole(path: Path, data: bytes) -> None:
         advice = "make room, or choose" if error.errno in FULL else "choose"
         reason = f"{error.strerror}; the file is as it was: {advice} another place"
         raise OSError(error.errno, reason, str(path)) from error
+
+
+def _require_unprotected(path: Path) -> None:
+    """Refuse to replace what may not be written to, though its directory would do."""
+    if path.exists() and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, "It is write-protected")
 
 
 def _permit_as(old: Path, new: Path) -> None:

@@ -272,6 +272,22 @@ def test_a_full_disk_leaves_the_older_file_whole(tmp_path):
     assert os.listdir(tmp_path) == ["run.npz"]
 
 
+def test_a_run_goes_on_and_leaves_a_file_that_is_write_protected_meanwhile(tmp_path, monkeypatch):
+    path, access = tmp_path / "run.npz", os.access
+    run = ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, save=path, every=2)
+    list(islice(run, 3))
+    before = path.read_bytes()
+    monkeypatch.setattr(  # who runs the tests may be root, who may write anywhere
+        os, "access", lambda asked, mode: asked != path and access(asked, mode)
+    )
+    with pytest.warns(ec.EvolutionWarning, match=r"t = 0\.3 could not be saved .*write-protected"):
+        list(islice(run, 2))
+    assert path.read_bytes() == before
+    monkeypatch.undo()
+    *_, last = run
+    same(ec.load(path)[1][-1], last)
+
+
 def test_every_without_a_file_to_save_to_is_refused():
     with pytest.raises(ValueError, match="every needs a file to save to, got every=5 without save"):
         ec.evolve(SPACE, coupled(), 2, 0.1, 0.8, every=5)

@@ -86,6 +86,22 @@ def test_a_folder_that_is_gone_is_named(tmp_path):
         write_whole(tmp_path / "file" / "run.npz", b"")
 
 
+def test_a_file_that_is_write_protected_stays(tmp_path, monkeypatch):
+    path, access = tmp_path / "run.npz", os.access
+    write_whole(path, b"kept")
+    (tmp_path / "link").symlink_to("run.npz")
+    monkeypatch.setattr(  # who runs the tests may be root, who may write anywhere
+        os, "access", lambda asked, mode: asked != path and access(asked, mode)
+    )
+    message = r"It is write-protected; the file is as it was: choose another place: .*run\.npz"
+    for name in ("run.npz", "link"):
+        with pytest.raises(PermissionError, match=message):
+            write_whole(tmp_path / name, b"new")
+    assert path.read_bytes() == b"kept"
+    assert names(tmp_path) == ["link", "run.npz"]
+    write_whole(tmp_path / "other.npz", b"new")
+
+
 @pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
 def test_permissions_are_those_of_any_new_file(tmp_path, umask):
     before = os.umask(umask)
