@@ -43,6 +43,7 @@ SPEED = 1e-3  # how far, relative to the largest, exact velocities may be from d
 LOOKED_AT = (0.382, 0.618)  # shares of a run: a kink or a turning point is hardly at both
 WITHIN = (1 / 8, 1 / 1000)  # of a step, to both sides: little rounding, or motions that are fast
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
+AT_REST = 1e-8  # slip of a component, relative to that of the surface, that may be rounding
 
 
 def check_start_of_motion(space: SurfaceSpace, law: object) -> None:
@@ -336,7 +337,7 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
     Warns
     -----
     EvolutionWarning
-        If a good part of it is normal, or the step too long for it.
+        If a good part of it is normal on a component, or the step too long for it.
     """
     if not hasattr(law, "slip"):
         return
@@ -354,26 +355,37 @@ def check_slip(space: SurfaceSpace, law: object, first: State, order: int, step:
     if w is None:
         return
     w = finite_array("the slip w(at)", w, at.x.shape)
+    w = w / (np.abs(w).max() or 1.0)  # its squares are finite
     normal = nodal_average(at, at.normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    share = float(np.linalg.norm((w * normal).sum(axis=1)) / (np.linalg.norm(w) or 1.0))
+    share, where = _largest_share((w * normal).sum(axis=1), np.linalg.norm(w, axis=1), space)
     if share > NORMAL and isinstance(given, Elastic):
         warnings.warn(
-            f"of the slip {given!r} at the start {share:.0%} is normal to the mesh: its nodes run "
-            "away, since the step is too long for this slip, or the normal that the law evolves is "
-            "far from that of the mesh; start before that, with a smaller step or rate",
+            f"of the slip {given!r} at the start {share:.0%}{where} is normal to the mesh: its "
+            "nodes run away, since the step is too long for this slip, or the normal that the law "
+            "evolves is far from that of the mesh; start before that, with a smaller step or rate",
             EvolutionWarning,
             stacklevel=level_outside(),
         )
     elif share > NORMAL:
         warnings.warn(
-            f"the slip w must be tangential, but {share:.0%} of it is normal: it moves the surface "
-            "and not only its nodes; w - (w . nu) nu leaves the tangential part, with normals nu "
-            "at the nodes from esfem_core.elements.nodal_average(at, at.normal), each divided by "
-            "its length",
+            f"the slip w must be tangential, but {share:.0%} of it{where} is normal: it moves the "
+            "surface and not only its nodes; w - (w . nu) nu leaves the tangential part, with "
+            "normals nu at the nodes from esfem_core.elements.nodal_average(at, at.normal), each "
+            "divided by its length",
             EvolutionWarning,
             stacklevel=level_outside(),
         )
+
+
+def _largest_share(part: Array, whole: Array, space: SurfaceSpace) -> tuple[float, str]:
+    """What a part of nodal values is of the whole, on the component where it is most; and where."""
+    component = np.empty(len(whole), dtype=int)
+    component[space.cells] = components(space.cells[:, :3])[:, None]
+    parts, wholes = (np.sqrt(np.bincount(component, w**2)) for w in (part, whole))
+    shares = parts / np.maximum(wholes, AT_REST * np.linalg.norm(whole) or 1.0)
+    i = int(np.argmax(shares))
+    return float(shares[i]), f" on component {i} of the surface" if len(shares) > 1 else ""
 
 
 def _farthest(x: Array, y: Array, surface: Array) -> tuple[int, float]:

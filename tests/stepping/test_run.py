@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+import trimesh
 
 import esfem_core as ec
 from esfem_core.solvers import superlu
@@ -571,6 +572,27 @@ def test_a_slip_with_a_normal_part_is_warned_of_once():
     with pytest.warns(ec.EvolutionWarning, match="the slip w must be tangential") as warned:
         list(ec.evolve(space, ec.Problem(law=law), 1, 0.01, 0.03))
     assert len(warned) == 1
+
+
+def test_a_slip_that_is_normal_on_a_small_component_only_is_warned_of_with_its_number(recwarn):
+    large = ec.sphere("octahedron", 2)
+    small = large.copy().apply_scale(0.01).apply_translation([3, 0, 0])
+    space = ec.SurfaceSpace(trimesh.util.concatenate([large, small]))
+
+    def evolve(size):
+        def w(at):
+            return np.where(at.x[:, :1] > 2, size * (at.x - [3, 0, 0]), np.cross([0, 0, 1], at.x))
+
+        law = ec.laws.with_slip(ec.laws.Prescribed(velocity=lambda x, t: 0 * x), w)
+        ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.01, 0.03)
+
+    for rounding in (0.0, 1e-14):  # of a component that does not slip
+        evolve(rounding)
+    assert not recwarn
+    with pytest.warns(
+        ec.EvolutionWarning, match="but 100% of it on component 1 of the surface is normal: it"
+    ):
+        evolve(0.1)
 
 
 @pytest.mark.filterwarnings("error::esfem_core.EvolutionWarning")
