@@ -131,7 +131,6 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
     products = lengths.sum(axis=1) * lengths.prod(axis=1)
     ratio = 4 * double_area**2 / np.where(products > 0, products, 1)  # 0 if corners coincide
     edges = sides_of(faces)
-    share = 1 / np.roll(edges.times.reshape(-1, 3), -1, axis=1)  # of the side opposite to a corner
     return Quality(
         vertices=len(tri.vertices),
         triangles=len(tri.faces),
@@ -141,6 +140,6 @@ def mesh_quality(tri: trimesh.Trimesh) -> Quality:
         mean_ratio=float(ratio.mean()),
         min_ratio=float(ratio.min()),
         h_min=float(np.ldexp(lengths.min(), scale)),
-        h_mean=float(np.ldexp(np.average(lengths, weights=share), scale)),
+        h_mean=float(np.ldexp(np.average(lengths, weights=1 / edges.times.reshape(-1, 3)), scale)),
         h_max=float(np.ldexp(lengths.max(), scale)),
     )
