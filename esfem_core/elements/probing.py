@@ -129,9 +129,10 @@ def closest_points(space: SpaceLike, x: ArrayLike, points: ArrayLike) -> Closest
     nearest = np.asarray(cKDTree(pieces.centre).query(scaled)[1], dtype=np.int64)
     rows = [descend(np.arange(len(scaled)), nearest)]
     bound = rows[0][3].reshape(-1, 4).min(axis=1)
-    pairs = _candidates(pieces, scaled, bound)
-    for part in np.array_split(np.arange(len(pairs[0])), len(pairs[0]) // CHUNK + 1):
-        rows.append(descend(pairs[0][part], pairs[1][part]))
+    point, piece = _candidates(pieces, scaled, bound)
+    others = np.flatnonzero(piece != nearest[point])  # that one is known
+    for part in np.array_split(others, len(others) // CHUNK + 1):
+        rows.append(descend(point[part], piece[part]))
     point, piece, local, distance = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     found = np.einsum("na,nai->ni", tabulate(degree, local).values, nodes[piece // per_cell])
 

@@ -1,5 +1,7 @@
 """A discrete surface by its tangent planes at many points: quick distances of points nearby."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -87,27 +89,28 @@ class TangentPlanes:
     def distance(self, x: Array) -> Array:
         """Signed distances of points (n, 3), positive outside, (n,)."""
         i = self._nearest(x)
-        found: Array = np.einsum("ij,ij->i", x - self._points[i], self._normals[i])
+        points, normals = (np.take(values, i, axis=0) for values in (self._points, self._normals))
+        found: Array = np.einsum("ij,ij->i", x - points, normals)
         return found
 
     def normal(self, x: Array) -> Array:
         """Unit normals near points (n, 3), (n, 3)."""
-        return np.asarray(self._normals[self._nearest(x)])
+        return np.asarray(np.take(self._normals, self._nearest(x), axis=0))
 
-    def values(self, nodal: Array, x: Array) -> Array:
-        """Values near points (n, 3) of a function given at the nodes, (N,): (n,)."""
+    def values(self, nodal: Array) -> Callable[[Array], Array]:
+        """Take points (n, 3) to values near them, (n,), of a function given at the nodes, (N,)."""
         many = np.concatenate(
             [(values @ nodal[cells].T).T.ravel() for values, cells in self._where]
         )
-        return np.asarray(many[self._nearest(x)])
+        return lambda x: np.asarray(many[self._nearest(x)])
 
     def near(self, x: Array) -> Array:
         """Points (n, 3) moved to the planes, (n, 3)."""
         moved: Array = x
         for _ in range(2):  # the second plane is that of a nearer point
             i = self._nearest(moved)
-            n = self._normals[i]
-            moved = moved - np.einsum("ij,ij->i", moved - self._points[i], n)[:, None] * n
+            points, n = (np.take(values, i, axis=0) for values in (self._points, self._normals))
+            moved = moved - np.einsum("ij,ij->i", moved - points, n)[:, None] * n
         return moved
 
     def _nearest(self, x: Array) -> Ints:

@@ -6,7 +6,6 @@ halved nearby and the triangles are made again from there. Curved elements that 
 flat: so it is where the old surface, known by too few triangles, has edges and not bends.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -102,8 +101,7 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
     for _ in range(ATTEMPTS):
         lengths = _graded(at, lengths)
         planes = TangentPlanes(at, SPACING * lengths[space.cells].min(axis=1), normal)
-        wanted = partial(planes.values, lengths / h)
-        guide = Guide(planes.distance, planes.normal, planes.near, wanted)
+        guide = Guide(planes.distance, planes.normal, planes.near, planes.values(lengths / h))
         found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS, ANY_TURN)
         vertices, faces = found.vertices, found.faces
         transfer = _transfer(at, vertices, faces)

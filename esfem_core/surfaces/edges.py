@@ -32,7 +32,6 @@ So an edge finds its triangles, here 0 // 3 and 5 // 3, by the numbers of its ha
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from esfem_core.checks import Array, Bools, Ints, finite_array, integer_array, number, real_array
 from esfem_core.surfaces.orientation import normals_of
@@ -63,7 +62,8 @@ class Edges(NamedTuple):
 
     def lengths(self, x: Array) -> Array:
         """Lengths of the edges between vertices at x, (E,)."""
-        across = x[self.ends[:, 1]] - x[self.ends[:, 0]]
+        a, b = np.take(x, self.ends.T, axis=0)
+        across = b - a
         return np.asarray(np.sqrt(_dot(across, across)))
 
 
@@ -92,19 +92,22 @@ def edges_of(faces: Ints) -> Edges:
     (12, 2)
     """
     faces = integer_array("faces", faces, ("T", 3))
-    start, end, third = (faces[:, [n, (n + 1) % 3, (n + 2) % 3]].ravel() for n in range(3))
+    a, b, c = faces.T
+    start, end, third = (np.stack(n, axis=1).ravel() for n in ((a, b, c), (b, c, a), (c, a, b)))
 
-    # Equal keys are neighbours after sorting: the halves of an edge are found in pairs.
-    order = np.argsort(_keys(start, end), kind="stable")
-    first, second = order[::2], order[1::2]
-    if not (
-        np.array_equal(start[first], end[second]) and np.array_equal(end[first], start[second])
-    ):
+    # Each edge has a side that goes up, to the larger number, and one that goes down. Both kinds
+    # are sorted by keys; the halves of an edge are then at the same place.
+    keys = _keys(start, end)
+    up, down = np.flatnonzero(start <= end), np.flatnonzero(start > end)
+    up, down = up[np.argsort(keys[up])], down[np.argsort(keys[down])]
+    once = keys[up]
+    if not np.array_equal(once, keys[down]) or (once[1:] == once[:-1]).any():
         raise ValueError(
             "faces must be a closed triangulation, neighbours oriented alike; "
             "esfem_core.check_triangulation says where they are not"
         )
-    halves = np.stack([first, second], axis=1)
+    first = np.minimum(up, down)
+    halves = np.stack([first, np.maximum(up, down)], axis=1)
     return Edges(np.stack([start[first], end[first]], axis=1), third[halves], halves)
 
 
@@ -141,8 +144,11 @@ def flip(x: Array, faces: Ints) -> tuple[Ints, int]:
     e = edges_of(faces)
 
     # cot a + cot b = sin(a + b)/(sin a sin b) is negative where a + b > pi.
-    excess = -_cotangents(x, faces)[e.halves].sum(axis=1)
+    one, other = _cotangents(x, faces)[e.halves.T]
+    excess = -(one + other)
     todo = np.flatnonzero(excess > EXCESS)
+    if len(todo) == 0:
+        return faces, 0
     patches = np.hstack([e.ends, e.opposite])[todo]
     allowed = _may_be_flipped(x, faces, e, patches)
     todo, patches = todo[allowed], patches[allowed]
@@ -200,6 +206,8 @@ def split(x: Array, faces: Ints, longest: float | Array) -> tuple[Array, Ints, i
     e = edges_of(faces)
     lengths = e.lengths(x)
     todo = np.flatnonzero(lengths > longest[e.ends].mean(axis=1))
+    if len(todo) == 0:
+        return x, faces, 0
     patches = np.hstack([e.ends, e.opposite])
     todo = todo[_independent(lengths[todo], patches[todo], len(x))]
 
@@ -256,49 +264,57 @@ def collapse(
     e = edges_of(faces)
     priority = real_array("priority", priority, (len(e.ends),))
     todo = np.flatnonzero(priority > 0)
-    todo = todo[_may_be_collapsed(faces, e, todo, len(x))]
+    near = _neighbours(e, len(x))
+    todo = todo[_may_be_collapsed(faces, e, todo, near)]
+    ends = e.ends[todo[np.argsort(-priority[todo], kind="stable")[::-1]]]  # the best comes last
 
     # What a collapse does to its neighbourhood is seen when it is tried. Edges that spoil it are
     # no candidates any more, others may come in their place, until all that are chosen are good.
-    while True:
-        chosen = todo[_far_apart(priority[todo], e, todo, len(x))]
-        y, renamed = _merged(x, faces, *e.ends[chosen].T)
-        a, b, c = renamed.T
-        kept = (a != b) & (b != c) & (c != a)
-        owner = np.full(len(x), -1)  # of a vertex that moves: its edge
-        owner[e.ends[chosen]] = chosen[:, None]
-        touched = np.flatnonzero(kept & (owner[faces] >= 0).any(axis=1))
-        spoiled = faces[touched][_spoiled(x, faces[touched], y, renamed[touched], longest)]
-        refused = np.unique(owner[spoiled].max(axis=1))  # one owner, as the chosen are far apart
-        if len(refused) == 0:
-            break
-        todo = np.setdiff1d(todo, refused)
+    y, target = x.copy(), np.arange(len(x))  # where a vertex goes, and which it becomes
+    owner = np.full(len(x), -1)  # of a vertex that is moved on trial: its edge
+    corners = np.ascontiguousarray(faces.T)
+    good = np.zeros(len(ends), dtype=bool)
+    while len(tried := np.flatnonzero(_far_apart(ends, near) & ~good)):
+        i, j = ends[tried].T
+        y[i], target[j] = (x[i] + x[j]) / 2, i
+        owner[i] = owner[j] = tried
+        edge = owner[corners].max(axis=0)  # one owner, as the chosen are far apart
+        touched = np.flatnonzero(edge >= 0)
+        touched = touched[_proper(target[faces[touched]])]
+        spoiled = _spoiled(x, faces[touched], y, target[faces[touched]], longest)
+        good[tried] = True
+        good[edge[touched[spoiled]]] = False
+        owner[i] = owner[j] = -1
+        refused = tried[~good[tried]]
+        i, j = ends[refused].T
+        y[i], target[j] = x[i], j
+        ends, good = np.delete(ends, refused, axis=0), np.delete(good, refused)
 
+    renamed = target[faces]
+    renamed = renamed[_proper(renamed)]
     used = np.zeros(len(x), dtype=bool)
-    used[renamed[kept]] = True
+    used[renamed] = True
     number_of = np.cumsum(used) - 1
-    return y[used], number_of[renamed[kept]], len(chosen)
+    return y[used], number_of[renamed], int(good.sum())
 
 
-def _may_be_collapsed(faces: Ints, e: Edges, todo: Ints, n: int) -> Bools:
+def _may_be_collapsed(faces: Ints, e: Edges, todo: Ints, near: "_Neighbours") -> Bools:
     """Whether collapses of the edges `todo` keep the topology and four triangles at each vertex.
 
     The ends have p and q as neighbours in common. If there is a third one, r, the collapse makes
     one edge of (i, r) and (j, r), with four triangles.
     """
     valence = np.bincount(faces.ravel())
-    allowed: Bools = _common_neighbours(e, n, todo) == 2
+    allowed: Bools = _common_neighbours(e, near, todo) == 2
     allowed &= (valence[e.opposite[todo]] > 4).all(axis=1)  # p and q lose one triangle each
     allowed &= valence[e.ends[todo]].sum(axis=1) > 7  # the new vertex has the sum minus four
     return allowed
 
 
-def _merged(x: Array, faces: Ints, i: Ints, j: Ints) -> tuple[Array, Ints]:
-    """Vertices after moving each i to its midpoint with j, and triangles with i instead of j."""
-    y, target = x.copy(), np.arange(len(x))
-    y[i] = (x[i] + x[j]) / 2
-    target[j] = i
-    return y, target[faces]
+def _proper(faces: Ints) -> Bools:
+    """Which triangles have three different corners."""
+    a, b, c = faces.T
+    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def _spoiled(x: Array, faces: Ints, y: Array, renamed: Ints, longest: Array) -> Bools:
@@ -340,54 +356,61 @@ def _cotangents(x: Array, faces: Ints) -> Array:
 
     By the law of cosines that opposite to a is (b^2 + c^2 - a^2)/(4 area).
     """
-    corners = x[faces]
-    sides = corners[:, [1, 2, 0]] - corners
-    squares = np.einsum("tij,tij->ti", sides, sides)
+    a, b, c = np.take(x, faces.T, axis=0)
+    squares = np.stack([_dot(side, side) for side in (b - a, c - b, a - c)], axis=1)
+    half = (squares[:, 0] + squares[:, 1] + squares[:, 2]) / 2
     normals = normals_of(x, faces)
     double_area = np.sqrt(_dot(normals, normals))
     with np.errstate(divide="ignore"):  # a triangle without area asks for a flip above all
-        cotangents = (squares.sum(axis=1, keepdims=True) / 2 - squares) / double_area[:, None]
+        cotangents = (half[:, None] - squares) / double_area[:, None]
     return np.asarray(cotangents.ravel())
-
-
-def _rank(priority: Array) -> Ints:
-    """Positive ranks without ties, larger for higher priority; among equals the first wins."""
-    rank = np.empty(len(priority), dtype=np.int64)
-    rank[np.argsort(-priority, kind="stable")] = np.arange(len(priority), 0, -1)
-    return rank
 
 
 def _independent(priority: Array, patches: Ints, n: int) -> Bools:
     """Choose patches of vertices that share none.
 
-    Each vertex remembers the highest rank among its patches, and a patch is chosen if all of its
-    vertices remember its own. Of three patches in a row, the last is lost to the second although
-    that is lost to the first; the next sweep can have it.
+    Each vertex remembers the best of its patches, among equals the first, and a patch is chosen if
+    all of its vertices remember it. Of three patches in a row, the last is lost to the second
+    although that is lost to the first; the next sweep can have it.
 
     >>> _independent(np.array([3.0, 2.0, 1.0]), np.array([[0, 1], [1, 2], [2, 3]]), 4)
     array([ True, False, False])
     """
-    rank = _rank(priority)
-    best = np.zeros(n, dtype=np.int64)
-    np.maximum.at(best, patches, rank[:, None])
-    return np.asarray((best[patches] == rank[:, None]).all(axis=1))
+    order = np.argsort(-priority, kind="stable")[::-1]
+    best = np.empty(n, dtype=np.int64)
+    best[patches[order]] = order[:, None]  # what is assigned last remains
+    return np.asarray((best[patches] == np.arange(len(patches))[:, None]).all(axis=1))
 
 
-def _far_apart(priority: Array, e: Edges, todo: Ints, n: int) -> Bools:
+class _Neighbours(NamedTuple):
+    """The vertices around each vertex, and itself: those of v are vertices[start[v]:start[v+1]]."""
+
+    start: Ints
+    vertices: Ints
+
+
+def _neighbours(e: Edges, n: int) -> _Neighbours:
+    i, j = e.ends.T
+    itself = np.arange(n)
+    of, others = np.r_[itself, i, j], np.r_[itself, j, i]
+    return _Neighbours(np.r_[0, np.cumsum(np.bincount(of))], others[np.argsort(of)])
+
+
+def _far_apart(ends: Ints, near: _Neighbours) -> Bools:
     """Choose edges such that no triangle has corners that are neighbours of two of them.
 
+    Of two that are too close to each other, the later one is the better one.
     A collapse changes the triangles at both ends and the number of triangles at p and q, one edge
     away. So ranks are passed on along three edges: from a neighbour of the one, over a side of
     the triangle, to a neighbour of the other.
     """
-    rank = _rank(priority)
-    ends = e.ends[todo]
-    best = np.zeros(n, dtype=np.int64)
-    np.maximum.at(best, ends, rank[:, None])
+    rank = np.arange(1, len(ends) + 1)
+    best = np.zeros(len(near.start) - 1, dtype=np.int64)
+    best[ends] = rank[:, None]  # what is assigned last remains
     for _ in range(3):
-        before = best.copy()
-        np.maximum.at(best, e.ends, before[e.ends[:, ::-1]])
-    return np.asarray((best[ends] == rank[:, None]).all(axis=1))
+        best = np.maximum.reduceat(best[near.vertices], near.start[:-1])
+    i, j = ends.T
+    return np.asarray((best[i] == rank) & (best[j] == rank))
 
 
 def _keys(a: Ints, b: Ints) -> Ints:
@@ -402,9 +425,11 @@ def _joined(e: Edges, a: Ints, b: Ints) -> Bools:
     return np.asarray(keys[place] == wanted)
 
 
-def _common_neighbours(e: Edges, n: int, todo: Ints) -> Ints:
-    """How many neighbours the ends of each edge have in common: paths of two edges between them."""
-    rows, columns = np.vstack([e.ends, e.ends[:, ::-1]]).T
-    adjacency = coo_array((np.ones(len(rows), dtype=np.int64), (rows, columns)), (n, n)).tocsr()
+def _common_neighbours(e: Edges, near: _Neighbours, todo: Ints) -> Ints:
+    """How many neighbours the ends of each edge have in common."""
     i, j = e.ends[todo].T
-    return np.asarray((adjacency[i] * adjacency[j]).sum(axis=1)).ravel()
+    count = near.start[i + 1] - near.start[i]
+    edge = np.repeat(np.arange(len(todo)), count)
+    place = np.arange(len(edge)) + np.repeat(near.start[i] + count - np.cumsum(count), count)
+    common = _joined(e, near.vertices[place], j[edge])
+    return np.bincount(edge[common], minlength=len(todo)) - 1  # without i itself

@@ -249,7 +249,7 @@ def _relax(x: Array, faces: Ints, guide: Guide, h: float) -> tuple[Array, Ints]:
             i, j = edges_of(faces).ends.T
             middle = (share[i] + share[j]) / 2
         # Springs shorter than wanted push; as these are 1.2 mean lengths, nearly all are.
-        across = x[j] - x[i]
+        across = np.take(x, j, axis=0) - np.take(x, i, axis=0)
         squares = np.maximum(np.einsum("ij,ij->i", across, across), 1e-300)
         wanted = 1.2 * np.sqrt((squares / middle**2).mean()) * middle
         push = (0.2 * np.maximum(wanted / np.sqrt(squares) - 1, 0))[:, None] * across

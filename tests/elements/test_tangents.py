@@ -34,13 +34,13 @@ def test_values_are_looked_up_where_points_are_near():
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
     planes = TangentPlanes(ec.Surface(space, space.nodes), 0.02)
     points = ec.sphere("octahedron", 2).vertices
-    found = planes.values(space.nodes[:, 2], points)
+    found = planes.values(space.nodes[:, 2])(points)
     assert np.abs(found - points[:, 2]).max() < 0.03
 
 
 def off_by(planes, x, points):
     """How far points are from the places whose values are theirs."""
-    found = np.stack([planes.values(column, points) for column in x.T], axis=1)
+    found = np.stack([planes.values(column)(points) for column in x.T], axis=1)
     return np.linalg.norm(found - points, axis=1)
 
 

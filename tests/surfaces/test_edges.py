@@ -168,6 +168,24 @@ def test_edges_need_a_closed_oriented_triangulation(change):
         edges_of(faces)
 
 
+def test_an_edge_of_four_triangles_is_refused():
+    """Two tetrahedra that share one."""
+    one = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    other = np.where(one > 1, one + 2, one)
+    with pytest.raises(ValueError, match="faces must be a closed triangulation"):
+        edges_of(np.vstack([one, other]))
+
+
+def test_a_collapse_is_the_same_among_vertices_of_no_triangle():
+    x, faces = disturbed()
+    found, found_faces, collapses = collapse(x, faces, np.ones(len(faces) * 3 // 2), 0.5)
+    apart = np.vstack([np.zeros((2, 3)), x, np.zeros((1, 3))])
+    again = collapse(apart, faces + 2, np.ones(len(faces) * 3 // 2), 0.5)
+    assert collapses == again[2] > 10
+    np.testing.assert_array_equal(found, again[0])
+    np.testing.assert_array_equal(found_faces, again[1])
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
