@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import esfem_core as ec
-from esfem_core.companion.experiments import mass_runtime
+from esfem_core.companion.experiments import mass_matrices, mass_runtime
 from esfem_core.companion.experiments.mass_matrices import compare_masses, orders
 from esfem_core.companion.experiments.mass_runtime import assemble_by_element, runtime
 
@@ -40,6 +40,15 @@ def test_orders_and_conservation_of_the_three_mass_terms(surface):
         assert np.log2(np.divide(*row[f"{mass}_u"])) == pytest.approx(expected, abs=0.15)
     assert np.abs(row["updated_amount"]).max() < 1e-12
     assert abs(row["reassembled_amount"][1]) > 20 * abs(row["extrapolated_amount"][1])
+
+
+def test_orders_of_one_surface_share_their_fine_run(monkeypatch):
+    mass_matrices._fine_run.cache_clear()
+    steps, evolve = [], ec.evolve
+    monkeypatch.setattr(ec, "evolve", lambda *a, **b: steps.append(a[3]) or evolve(*a, **b))
+    for order in (1, 2):
+        orders(surface="ellipsoid", order=order, steps_per_unit=[20], fine=40)
+    assert steps.count(1 / 40) == 1
 
 
 def test_assembly_by_element_gives_what_the_package_assembles():

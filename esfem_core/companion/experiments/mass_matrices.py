@@ -1,7 +1,7 @@
 """[N] 7.4, Figure 5: mass matrices at extrapolated or at computed positions, (2.19) or (7.2)."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -138,6 +138,18 @@ SURFACES = {
 """Their problems have no explicit time, except that of the expanding sphere, which begins at 0."""
 
 
+@lru_cache(maxsize=1)
+def _fine_run(surface: str, fine: int) -> tuple[ec.Problem, ec.SurfaceSpace, list[ec.State]]:
+    """The run that all orders are compared with, from time 0 at `begin`."""
+    make_problem, make_space, begin, end = SURFACES[surface]
+    problem, space = make_problem(), make_space()
+    past = ec.evolve(
+        space, problem, 5, 1 / fine, end, mass="extrapolated", start="euler", solver="direct"
+    )
+    states = [ec.State(s.t - begin, s.x, s.v, s.u) for s in islice(past, round(begin * fine), None)]
+    return problem, space, states
+
+
 def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int) -> dict[str, Any]:
     """Distances in time from a fine run on the same mesh, 162 nodes, for the three mass terms.
 
@@ -179,12 +191,7 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
     one_of("surface", surface, tuple(SURFACES))
     if any(fine % n for n in steps_per_unit):
         raise ValueError(f"steps_per_unit must divide fine = {fine}, got {list(steps_per_unit)}")
-    make_problem, make_space, begin, end = SURFACES[surface]
-    problem, space = make_problem(), make_space()
-    past = ec.evolve(
-        space, problem, 5, 1 / fine, end, mass="extrapolated", start="euler", solver="direct"
-    )
-    states = [ec.State(s.t - begin, s.x, s.v, s.u) for s in islice(past, round(begin * fine), None)]
+    problem, space, states = _fine_run(surface, fine)
 
     def amount(state: ec.State) -> float:
         return float(space.load(state.x, space.evaluate(state.u)).sum())
@@ -198,7 +205,7 @@ def orders(*, surface: str, order: int, steps_per_unit: Sequence[int], fine: int
                 problem,
                 order,
                 1 / steps,
-                end - begin,
+                states[-1].t,
                 mass=mass,
                 start=states[: order * every : every],
                 solver="direct",
