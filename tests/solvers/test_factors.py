@@ -133,6 +133,28 @@ def test_a_matrix_that_is_not_symmetric_is_refused(factorise):
         factorise(A)
 
 
+UNSORTED = csr_array((np.array([0.5, 2.0, 0.5, 2.0]), [1, 0, 0, 1], [0, 2, 4]))
+TWICE = csr_array((np.array([1.0, 1.0, 0.5, 0.5, 2.0]), [0, 0, 1, 0, 1], [0, 3, 5]))
+
+
+@pytest.mark.parametrize("A", [UNSORTED, TWICE], ids=["unsorted", "entries given twice"])
+@pytest.mark.parametrize(("off", "refused"), [(0.0, False), (1e-10, False), (1e-8, True)])
+def test_symmetry_is_one_of_values_to_rounding_however_they_are_stored(A, off, refused):
+    A = A.copy()
+    A.data[2] += off
+    if refused:
+        with pytest.raises(ValueError, match="is not symmetric"):
+            superlu(A)
+    else:
+        assert superlu(A).solve(np.ones(2)) == pytest.approx([0.4, 0.4])
+
+
+def test_matrices_of_elements_are_found_symmetric_without_a_difference(monkeypatch):
+    """A difference of sparse matrices takes as long as a third of a small factorisation."""
+    monkeypatch.setattr(csr_array, "__sub__", None, raising=False)
+    superlu(A)
+
+
 def test_what_factorise_returns_is_named():
     with pytest.raises(TypeError, match=r"factorise must return a Factor, .* got None"):
         DirectSolver(lambda A: None).solve(csr_array(np.eye(2)), np.ones(2), np.zeros(2))
