@@ -1,6 +1,7 @@
 """The ledger's source, the notebooks' checks and the table of contents agree."""
 
 import ast
+import importlib.util
 import json
 import re
 from collections import Counter
@@ -114,3 +115,19 @@ def test_errata_refer_to_checks():
 def test_every_misprint_is_among_the_errata():
     misprints = {name for name, verdict in accepted().items() if verdict == "misprint"}
     assert misprints <= {entry["claim"] for entry in ERRATA}
+
+
+def test_a_build_parses_the_ledger_once_and_sees_what_has_changed(tmp_path, monkeypatch):
+    pytest.importorskip("sphinx")
+    spec = importlib.util.spec_from_file_location("ledger", ROOT / "book/_ext/ledger.py")
+    ledger = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(ledger)
+    texts = []
+    monkeypatch.setattr(yaml, "safe_load", lambda text: texts.append(text) or [{"id": text}])
+    file = tmp_path / "book/claims.yml"
+    file.parent.mkdir()
+    for text in ("old", "new"):
+        file.write_text(text)
+        ledger.read_rows(tmp_path)[0]["id"] = "changed by a caller"
+        assert ledger.read_rows(tmp_path) == [{"id": text}]
+    assert texts == ["old", "new"]
