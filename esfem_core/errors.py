@@ -110,8 +110,10 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
     if largest > LARGEST:  # squares would overflow; a power of two takes nothing from the digits
         unit = 2.0 ** int(np.frexp(largest)[1] - 1)
         return unit * seminorm(matrix, w / unit)
-    size = float(np.sum(np.abs(columns) * (abs(matrix) @ np.abs(columns))))
-    return root_of_form("matrix", columns, matrix @ columns, size)
+    image, size = matrix @ columns, 0.0
+    if not np.sum(columns * image) >= 0:  # whether that is rounding, its largest terms tell
+        size = float(np.sum(np.abs(columns) * (abs(matrix) @ np.abs(columns))))
+    return root_of_form("matrix", columns, image, size)
 
 
 def square_matrix(name: str, matrix: csr_array) -> csr_array:

@@ -178,6 +178,13 @@ def test_what_is_no_state_of_the_space_is_refused(measure):
         measure(SPACE, PROBLEM, 0)
 
 
+def test_a_square_that_is_positive_needs_no_product_to_judge_its_rounding(monkeypatch):
+    M, _ = SPACE.mass_stiffness(SPACE.nodes)
+    monkeypatch.setattr(csr_array, "__abs__", None)
+    for w in (SPACE.nodes, 0 * SPACE.nodes):
+        assert ec.errors.seminorm(M, w) == pytest.approx(np.sqrt(np.sum(w * (M @ w))))
+
+
 def test_a_seminorm_wants_a_row_for_each_of_the_matrix():
     M, _ = SPACE.mass_stiffness(SPACE.nodes)
     with pytest.raises(ValueError, match=r"w must have shape \(2562, \.\.\.\), got \(3, 2562\)"):
