@@ -193,8 +193,8 @@ def number(
 
 def _real(value: object) -> int | float | None:
     """A real number of any library, or None."""
-    if type(value) is float:
-        return value
+    if isinstance(value, float):  # also NumPy's, which is one
+        return float(value)
     value = _entry(value)
     if isinstance(value, bool | np.bool_ | np.timedelta64) or not isinstance(value, Real):
         return None  # a time span passes for an integer with NumPy, in whatever unit it is
