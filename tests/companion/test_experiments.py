@@ -33,6 +33,15 @@ def test_every_stored_case_is_one_that_the_command_computes(name):
 
 TIMES = {"lmv_run_times", "nick_mass_runtime"}  # no two are the same
 LONG = 3  # seconds
+
+
+def has_digits(row):
+    """Not where the printed coupling is evaluated near 0/0: there the last bits decide."""
+    p = row.parameters
+    aligned = p.get("mesh") == "octahedron" and p.get("angle", 0.0) < 0.01
+    return p.get("coupling") != "printed" or aligned
+
+
 # The cheapest of each experiment, whatever it costs, and two more if they cost little.
 CHEAP = [
     pytest.param(
@@ -43,7 +52,9 @@ CHEAP = [
     )
     for name, rows in STORED.items()
     if name not in TIMES
-    for i, row in enumerate(sorted(rows, key=lambda row: row.provenance["seconds"])[:3])
+    for i, row in enumerate(
+        sorted(filter(has_digits, rows), key=lambda row: row.provenance["seconds"])[:3]
+    )
     if i == 0 or row.provenance["seconds"] < LONG
 ]
 
