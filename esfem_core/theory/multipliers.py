@@ -41,7 +41,7 @@ def smallest_eta(p: int) -> float:
 
     On the unit circle :math:`\operatorname{Re}[\delta(z) (1 - \eta/z)] = a(x) - \eta b(x)` with
     :math:`x = \operatorname{Re} z`, and b < 0 for x < 1. The smallest eta is the
-    maximum of a/b; there a - eta b has a double zero.
+    maximum of a/b, where a - eta b has a double zero, or 0 if that is negative (p = 1).
 
     Parameters
     ----------
