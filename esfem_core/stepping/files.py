@@ -17,9 +17,9 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write a file; at any moment, also on a full disk, the old or the new one is there whole.
 
     The bytes go to a hidden file beside it, are forced to the disk, and take its place in one step.
-    Of several processes that write one file at once, the last one's is there. Who could read the
-    old one can read the new one, and nobody else. One that is write-protected stays, also if it was
-    protected in the middle of a run.
+    Of several processes that write one file at once, the last one's is there. The new one has the
+    permissions of the old one, and its group where the system lets it. One that is write-protected
+    stays, also if it was protected in the middle of a run.
 
     Parameters
     ----------
@@ -68,7 +68,10 @@ def _require_unprotected(path: Path) -> None:
 
 
 def _permit_as(old: Path, new: Path) -> None:
-    """Give a file the permissions of the one whose place it is to take."""
+    """Give a file the group and the permissions of the one whose place it is to take."""
+    with suppress(OSError):  # there is none, or who writes is not in that group
+        if hasattr(os, "chown"):  # not on Windows
+            os.chown(new, -1, old.stat().st_gid)
     with suppress(OSError):  # there is none, or the file system knows no permissions
         shutil.copymode(old, new)
 

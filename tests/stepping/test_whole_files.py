@@ -133,6 +133,39 @@ def test_a_file_has_the_permissions_of_the_one_whose_place_it_takes_before_it_ta
     assert [*seen, path.stat().st_mode & 0o777] == [mode] * 3
 
 
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other groups")
+def test_a_file_has_the_group_of_the_one_whose_place_it_takes(tmp_path):
+    own = os.getegid()
+    others = [own + 1] if os.geteuid() == 0 else [group for group in os.getgroups() if group != own]
+    if not others:
+        pytest.skip("who runs the tests is in one group only")
+    path = tmp_path / "shared"
+    path.touch(0o660)
+    os.chown(path, -1, others[0])
+    write_whole(path, b"for all of the group")
+    assert path.stat().st_gid == others[0]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other groups")
+def test_a_file_is_written_where_the_system_does_not_give_it_the_group(tmp_path, monkeypatch):
+    asked = []
+
+    def refuse(file, user, group):
+        asked.append((user, group, Path(file).stat().st_mode & 0o777))
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "chown", refuse)
+    path, umask = tmp_path / "shared", os.umask(0o077)
+    try:
+        path.touch()
+        path.chmod(0o660)
+        write_whole(path, b"done")
+    finally:
+        os.umask(umask)
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"done", 0o660)
+    assert asked == [(-1, path.stat().st_gid, 0o600)]  # before others may read it
+
+
 def test_a_name_as_long_as_a_name_may_be(tmp_path):
     path = tmp_path / ("n" * 251 + ".npz")
     write_whole(path, b"done")
