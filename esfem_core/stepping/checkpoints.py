@@ -277,11 +277,13 @@ def _read(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
 def _array(name: str, data: bytes) -> Any:
     """The array of a file .npy; room is made for what is there, not for what it says."""
     file = io.BytesIO(data)
-    if np.lib.format.read_magic(file) == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-        said, there = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
-        if said != there and not dtype.hasobject:
-            raise ValueError(f"array {name} should have {said} bytes, but has {there}")
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):  # others are for headers that no array of numbers has
+        raise ValueError(f"array {name} has version {version} of the format npy, not (1, 0)")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    said, there = math.prod(shape) * dtype.itemsize, len(data) - file.tell()
+    if said != there and not dtype.hasobject:
+        raise ValueError(f"array {name} should have {said} bytes, but has {there}")
     return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 

@@ -1,6 +1,7 @@
 """Saved runs go on bit for bit; damaged files are refused."""
 
 import inspect
+import io
 import json
 import os
 import re
@@ -504,6 +505,24 @@ def test_no_room_is_made_for_more_than_a_file_holds(tmp_path):
         for name, data in members.items():
             file.writestr(name, data)
     with pytest.raises(ValueError, match="array 0/x should have 1584000000000 bytes, but has 1584"):
+        ec.load(path)
+
+
+@pytest.mark.parametrize("version", [(2, 0), (3, 0)])
+def test_no_room_is_made_for_arrays_in_a_form_that_save_does_not_write(tmp_path, version):
+    path, _ = saved(tmp_path)
+    with zipfile.ZipFile(path) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    head = {"descr": "<f8", "fortran_order": False, "shape": (10**17, 3)}
+    claiming = io.BytesIO()
+    np.lib.format.write_array_header_2_0(claiming, head)
+    magic = np.lib.format.magic(*version)
+    members["0/x.npy"] = magic + claiming.getvalue()[len(magic) :] + bytes(100)
+    with zipfile.ZipFile(path, "w") as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+    message = rf"run\.npz' is damaged, .*array 0/x has version \({version[0]}, 0\)"
+    with pytest.raises(ValueError, match=message):
         ec.load(path)
 
 
