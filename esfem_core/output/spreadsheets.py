@@ -6,6 +6,7 @@ import io
 import math
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from esfem_core.checks import iterable, named, output_path, shown
-from esfem_core.stepping import OwnFile, write_whole
+from esfem_core.stepping import FULL, OwnFile, write_whole
 
 __all__ = ["TableWriter", "save_table"]
 
@@ -153,8 +154,10 @@ def _append(path: Path, data: bytes) -> None:
             if file.write(data) < len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
-        os.truncate(path, size)
-        reason = f"{error.strerror}; it is whole up to the row before: make room, and write again"
+        with suppress(OSError):  # a file that cannot be written to was not begun
+            os.truncate(path, size)
+        advice = "make room" if error.errno in FULL else "see that it can be written to"
+        reason = f"{error.strerror}; it is whole up to the row before: {advice}, and write again"
         raise OSError(error.errno, reason, str(path)) from error
 
 

@@ -443,6 +443,26 @@ def test_a_full_disk_leaves_a_table_whole_that_goes_on_when_there_is_room(tmp_pa
     assert path.read_text() == "t,a\n0.1,0.25\n0.2,0.5\n"
 
 
+def test_a_table_that_is_write_protected_meanwhile_is_told_and_goes_on_without(
+    tmp_path, monkeypatch
+):
+    table = ec.TableWriter(tmp_path / "run.csv")
+    table.write({"t": 0.1})
+
+    def protected(*given, **options):  # who runs the tests may be root, who may write anywhere
+        raise PermissionError(13, "Permission denied")
+
+    message = r"Permission denied; it is whole up to the row before: see that it can be written to,"
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", protected)
+        patch.setattr(os, "truncate", protected)
+        with pytest.raises(PermissionError, match=message) as told:
+            table.write({"t": 0.2})
+    assert told.value.filename == str(table.path)
+    table.write({"t": 0.2})
+    assert table.path.read_text() == "t\n0.1\n0.2\n"
+
+
 def test_a_full_disk_leaves_a_series_complete_up_to_the_state_before(tmp_path):
     first, second = states(1)
     series = ec.SeriesWriter(tmp_path / "run.pvd")
