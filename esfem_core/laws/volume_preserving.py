@@ -44,6 +44,8 @@ class VolumePreserving(Law):
     Parameters
     ----------
     law : Regularised or MeanCurvature
+        The `velocity` of a class derived from Regularised solves for v first, for its three
+        components at once, as a run finds out: the pressure is solved for with them.
 
     Raises
     ------
@@ -106,14 +108,25 @@ class VolumePreserving(Law):
             def with_pressure(K: csr_array, b: Array) -> Array:
                 if answers:  # what a class of one's own solves beside
                     return solve(K, b)
+                if np.shape(b) != flux.shape:
+                    raise ValueError(self._must_solve(f"b of shape {np.shape(b)}"))
                 both = solve(K, np.hstack([b, flux]))
                 answers.append(both[:, 3:])
                 return both[:, :3]
 
             first = self.law.velocity(at, new, tau, past, with_pressure)
+            if not answers:
+                raise ValueError(self._must_solve("nothing"))
             (second,) = answers
         v: Array = first - np.vdot(flux, first) / np.vdot(flux, second) * second
         return v
+
+    def _must_solve(self, found: str) -> str:
+        return (
+            "the first solve(K, b) in velocity of law must be that for v, for its three components "
+            f"at once, b of shape (N, 3), since the pressure is solved for with it; {self.law!r} "
+            f"solves for {found}"
+        )
 
     @property
     def _pressed(self) -> Regularised | MeanCurvature:

@@ -161,6 +161,30 @@ def test_a_uniform_force_does_not_matter_whatever_a_law_of_ones_own_adds(g):
     np.testing.assert_allclose(last.x, sphere.nodes + np.array([0.06, 0, 0]), atol=1e-8)
 
 
+def nothing(at, solve):
+    return 0 * at.x
+
+
+def each_component(at, solve):
+    K, b = at.matrix(1.0, 1.0), at.load(at.normal)
+    return np.stack([solve(K, b[:, i]) for i in range(3)], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("solved", "found"), [(nothing, "nothing"), (each_component, r"b of shape \(66,\)")]
+)
+def test_a_law_of_ones_own_that_solves_otherwise_is_told_what_is_needed(solved, found):
+    class Own(ec.laws.Regularised):
+        def velocity(self, at, new, tau, past, solve):
+            return solved(at, solve)
+
+    law = ec.laws.VolumePreserving(Own())
+    sphere = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    message = rf"first solve\(K, b\) .* must .* shape \(N, 3\), .*Own\(.*\) solves for {found}$"
+    with pytest.raises(ValueError, match=message):
+        final(ec.evolve(sphere, ec.Problem(law=law), 1, 0.1, 0.1))
+
+
 def test_one_factorisation_serves_both_parts():
     statistics = ec.Statistics()
     problem = ec.Problem(law=ec.laws.VolumePreserving(LAWS["regularised"]))
