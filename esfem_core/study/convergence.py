@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from esfem_core.checks import (
     Array,
-    ReadOnly,
     finite_array,
     frozen,
     function,
@@ -97,8 +97,8 @@ def _orders(sizes: Array, values: Array) -> Array:
     return np.asarray((e[:-1] - e[1:]) / np.where(refined == 0, np.nan, refined))
 
 
-@dataclass(frozen=True)
-class ConvergenceTable(ReadOnly):
+@dataclass(frozen=True, eq=False)
+class ConvergenceTable:
     """Errors for a sequence of step sizes or mesh sizes; displays as a table in a notebook.
 
     ``table["x_l2"]`` are the errors of that name, one for each size.
@@ -110,7 +110,7 @@ class ConvergenceTable(ReadOnly):
     sizes : (n,) float array
     errors : mapping of str to (n,) float array
         Such as the fields of :class:`esfem_core.errors.Errors`. Sequences become arrays, all are
-        copied and read-only.
+        copied and read-only, and so is the mapping.
 
     Raises
     ------
@@ -136,7 +136,7 @@ class ConvergenceTable(ReadOnly):
 
     parameter: str
     sizes: Array
-    errors: dict[str, Array]
+    errors: Mapping[str, Array]
 
     def __post_init__(self) -> None:
         sizes = finite_array("sizes", self.sizes, ("n",))
@@ -148,8 +148,19 @@ class ConvergenceTable(ReadOnly):
             n: real_array(f"errors[{n!r}] (one for each of sizes)", e, (len(sizes),))
             for n, e in errors.items()
         }
-        object.__setattr__(self, "sizes", frozen(sizes))
-        object.__setattr__(self, "errors", {n: frozen(e) for n, e in columns.items()})
+        self._keep(self.parameter, sizes, columns)
+
+    def _keep(self, parameter: str, sizes: Array, errors: Mapping[str, Array]) -> None:
+        """Take values as attributes; nobody can write to the arrays or add one any more."""
+        columns = MappingProxyType({name: frozen(e) for name, e in errors.items()})
+        vars(self).update(parameter=parameter, sizes=frozen(sizes), errors=columns)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickles and copies, which cannot hold read-only views of mappings."""
+        return vars(self) | {"errors": dict(self.errors)}
+
+    def __setstate__(self, kept: Mapping[str, Any]) -> None:
+        self._keep(**kept)
 
     @classmethod
     def of(

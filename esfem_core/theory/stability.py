@@ -144,7 +144,7 @@ def _perturbed(exact: State, e_x: Array, e_u: Array, n: int) -> State:
     return State(exact.t, exact.x + e_x, None, exact.u + e_u)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ErrorTerms:
     """Errors and defects of a run, and the squared norms of which [N] Section 4 speaks.
 

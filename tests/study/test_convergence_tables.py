@@ -1,6 +1,7 @@
 """Tables of errors and observed orders."""
 
 import copy
+import pickle
 import warnings
 
 import numpy as np
@@ -266,6 +267,17 @@ def test_no_caller_changes_a_table():
         for array in (again.sizes, again["x"]):
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 7
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            again.errors["x"] = array
+
+
+def test_a_table_is_equal_to_itself_only_and_can_be_pickled():
+    table, other = (ConvergenceTable("h", [0.2, 0.1], {"x": [4, 1]}) for _ in range(2))
+    assert table != other
+    assert len({table, other, table}) == 2
+    for again in (pickle.loads(pickle.dumps(table)), copy.copy(table), copy.deepcopy(table)):
+        assert str(again) == str(table)
+        assert not again.sizes.flags.writeable
 
 
 def test_rows_tables_and_names_that_are_none_are_told():

@@ -1,5 +1,7 @@
 """Answers of the scheme to chosen defects, against its error equations."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -170,3 +172,4 @@ def test_both_sides_of_the_estimate_are_sums_as_written(p, corrected):
         ratios.append(left / right)
     terms = ErrorTerms(p, tau, (), (), (), (), {}, square)
     assert proposition_1(terms, corrected) == pytest.approx(max(ratios), rel=1e-13)
+    assert len({terms, dataclasses.replace(terms)}) == 2  # dicts of arrays are not compared
