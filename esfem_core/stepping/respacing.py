@@ -93,7 +93,8 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     A run of order p needs p states that obey the same law. Where that changes at a time T, those
     before T do not, and errors are O(tau) for every p. So p - 1 states after T are made from the
     one at T, as at the start of a run: by linearly implicit Euler steps of step/1, ..., step/p,
-    extrapolated to order p, with updated mass matrices; p (p + 1)/2 of them for each state.
+    extrapolated to order p, with updated mass matrices; p (p + 1)/2 of them for each state. Given
+    values, of ``Species(fixed=...)``, are put in place in each.
 
     Parameters
     ----------
@@ -146,8 +147,19 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
             *_, euler = evolve(space, problem, 1, step / m, t, start=states[-1:])
             found.append(_at(1 / m, euler))
         # The error is a polynomial in the step but for O(tau^{p+1}): its value at step 0.
-        states.append(replace(_at_time(space, found, 0.0, 1.0, p), t=t))
+        states.append(_with_given(problem, replace(_at_time(space, found, 0.0, 1.0, p), t=t)))
     return states
+
+
+def _with_given(problem: Problem, state: State) -> State:
+    """The state with the values in place that Species(fixed=...) gives at its positions."""
+    fields = dict(state.fields)
+    for name, species in problem.all_species.items():
+        if species.fixed is not None:
+            nodes = species.fixed.nodes(name, known_space(state))
+            fields[name] = w = fields[name].copy()
+            w[nodes] = species.fixed.at(name, state.x[nodes], state.t, w.shape[1:])
+    return replace(state, fields=fields)
 
 
 def _at(t: float, s: State) -> State:

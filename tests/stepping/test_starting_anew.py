@@ -71,6 +71,24 @@ def test_the_states_begin_with_the_given_one_and_keep_the_amount():
     assert [s.t for s in ec.started_anew(state, problem, 1, 0.02)] == [0.4]
 
 
+@pytest.mark.parametrize("conserved", [True, False])
+def test_given_values_are_in_place_as_at_the_start_of_a_run(conserved):
+    caps = np.flatnonzero(abs(SPACE.nodes[:, 2]) > 0.9)
+
+    def given(x, t):
+        return np.exp(-t) * x[:, :2] ** 2 + x[:, 2:]
+
+    held = ec.Species(lambda x: given(x, 0.0), conserved=conserved, fixed=(caps, given))
+    free = ec.Species(lambda x: 1 + x[:, 0] * x[:, 1])
+    pushed = ec.laws.Regularised(1.0, 1.0, lambda at: 1 + at["free"])
+    problem = ec.Problem(species={"u": held, "free": free}, law=pushed)
+    *_, state = ec.evolve(SPACE, problem, 3, 0.05, 0.2, start="euler")
+    anew = ec.started_anew(state, problem, 3, 0.05)
+    run = ec.evolve(SPACE, problem, 3, 0.05, 0.4, start=anew)
+    for found in (*anew, *run):
+        np.testing.assert_array_equal(found.u[caps], given(found.x[caps], found.t))
+
+
 @pytest.mark.parametrize("p", [2, 3])
 def test_another_law_gets_the_functions_that_it_makes(p):
     """A sphere of radius 3/2 shrinks by its mean curvature, as one that begins there."""
