@@ -381,6 +381,7 @@ def doors() -> list[Door]:
               "g": returning(lambda at: 0 * at.density, constant=True,
                              instead=(None,))}),
         Door("Elastic", ec.laws.Elastic, {"rate": number(10.0, 0, -1), "area": number(1.0, -1)}),
+        Door("Elastic.largest_step", ec.laws.Elastic().largest_step, {"order": whole(2, 0, -1)}),
         Door("VolumePreserving", ec.laws.VolumePreserving, {"law": one(ec.laws.Regularised())}),
         Door("with_slip", ec.laws.with_slip,
              {"law": Argument(ec.laws.Regularised(), "listed",

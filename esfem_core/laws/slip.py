@@ -43,7 +43,7 @@ from typing import Literal
 import numpy as np
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, number, one_of, real_array, shown
+from esfem_core.checks import Array, number, one_of, real_array, shown, whole_number
 from esfem_core.elements import Smoothing, Surface, SurfaceSpace, nodal_average
 from esfem_core.laws.law import Law, Solve, check_law, check_no_slip
 from esfem_core.laws.prescribed import Prescribed
@@ -117,17 +117,23 @@ class Elastic:
         Parameters
         ----------
         order : int
-            The order p of the BDF.
+            The order p of the BDF; one above 6 gets the step of 6.
 
         Returns
         -------
         float
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the order is no positive integer.
 
         Examples
         --------
         >>> print(f"{Elastic().largest_step(2):.3f}")
         0.055
         """
+        order = whole_number("order", order, 1)
         return STABLE[min(order, len(STABLE)) - 1] / ((1 + self.area) * self.rate)
 
     def __call__(self, at: Surface) -> Array:

@@ -163,6 +163,14 @@ def test_the_largest_step_of_the_elastic_slip_is_a_little_below_the_limit_of_its
         assert 0.8 < ec.laws.Elastic(1.0, area=0.0).largest_step(p) / limit < 0.87
 
 
+@pytest.mark.parametrize("order", [0, -3, 1.5, "2", None, True])
+def test_the_largest_step_is_that_of_an_order(order):
+    error = ValueError if type(order) in (int, float) else TypeError
+    with pytest.raises(error, match=f"order must be an integer >= 1, got {order!r}"):
+        ec.laws.Elastic().largest_step(order)
+    assert ec.laws.Elastic().largest_step(7) == ec.laws.Elastic().largest_step(6)
+
+
 def test_a_law_with_a_slip_does_not_keep_the_spaces_of_its_runs():
     law = ec.laws.with_slip(ec.laws.Regularised(1.0, 1.0, None), "elastic")
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
