@@ -105,6 +105,7 @@ class Reader:
         )
         self.tab = self.context.new_page()
         self.trouble = []
+        self.apart = False  # whether a test has spoilt the page
         self.tab.on("pageerror", lambda error: self.trouble.append(f"exception: {error}"))
         self.tab.on("requestfailed", lambda r: self.trouble.append(f"not loaded: {r.url}"))
         self.tab.on(
@@ -133,13 +134,24 @@ class Reader:
 
 
 @pytest.fixture(scope="session")
-def opened(seen, browser):
-    """Give a page on a phone that the tests which ask for it share, one after the other."""
+def shared(seen, browser):
+    """Give what `opened` gives for this page, not opened yet."""
     one = Reader(browser, width=390, height=844, reduced_motion="reduce")
-    one.open(seen).wait_for_load_state("networkidle")
-    one.rest()
+    one.apart = True
     yield one
     one.context.close()
+
+
+@pytest.fixture
+def opened(seen, shared):
+    """Give a page on a phone that tests share, in whatever order; anew after one that spoils it."""
+    if shared.apart:
+        shared.trouble.clear()
+        shared.tab.set_viewport_size({"width": 390, "height": 844})
+        shared.open(seen).wait_for_load_state("networkidle")
+        shared.rest()
+        shared.apart = False
+    return shared
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ def barred(opened, theme, options):
 
 
 def test_nothing_serious_bars_a_reader_in_the_light_or_in_the_dark(seen, opened):
-    tab = opened.tab  # of which not much is left in the end
+    tab, opened.apart = opened.tab, True  # not much is left of it in the end
     tab.set_viewport_size({"width": 1280, "height": 900})
     tab.evaluate(EMPTY, "mjx-container" + ("" if seen in CODE_TOO else ", .highlight pre"))
     tab.add_script_tag(path=str(AXE))
