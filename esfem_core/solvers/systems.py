@@ -1,13 +1,10 @@
 """What a linear system A x = b is made of, checked where it comes in."""
 
-from functools import lru_cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, issparse
 
-from esfem_core.checks import Array, Ints, real_array, shown
+from esfem_core.checks import Array, real_array, shown
 
 __all__ = [
     "check_factor",
@@ -78,25 +75,15 @@ def check_halves(A: csr_array) -> None:
         ...
     ValueError: A must be symmetric and positive definite, but is not symmetric
     """
-    mirror = _mirror(*(np.asarray(a, dtype=np.int64).tobytes() for a in (A.indptr, A.indices)))
-    if mirror is not None and np.array_equal(A.data, A.data[mirror]):
-        return  # to the last bit, as matrices of elements are
+    turned = A.tocsc()  # its columns are the rows of the transpose
+    parts = ("indptr", "indices", "data")
+    if all(np.array_equal(getattr(A, part), getattr(turned, part)) for part in parts):
+        return  # symmetric to the last bit, as matrices of elements are
     with np.errstate(all="ignore"):
         largest = np.abs(A.data).max(initial=0.0)
         difference = np.abs((A - A.T).data).max(initial=0.0)
     if difference > SYMMETRIC * largest:
         raise ValueError("A must be symmetric and positive definite, but is not symmetric")
-
-
-@lru_cache(maxsize=2)
-def _mirror(indptr: bytes, indices: bytes) -> Ints | None:
-    """Where the entries of the transpose are, if it has the same pattern, as in every step."""
-    starts, columns = (np.frombuffer(a, np.int64) for a in (indptr, indices))
-    n = len(starts) - 1
-    rows: Any = csr_array((np.arange(len(columns)), columns, starts), shape=(n, n))
-    turned = rows.tocsc()  # its columns are the rows of the transpose
-    same = np.array_equal(turned.indptr, starts) and np.array_equal(turned.indices, columns)
-    return turned.data if same else None
 
 
 def check_factor(factor: object) -> None:
