@@ -733,6 +733,23 @@ def integer_array(name: str, values: ArrayLike, shape: Sequence[int | str]) -> I
     return integers
 
 
+def check_node_numbers(name: str, numbers: Ints, n: int) -> None:
+    """Refuse integers that are not numbers of n nodes.
+
+    Examples
+    --------
+    >>> check_node_numbers("cells", np.array([[0, 1, 3]]), 3)
+    Traceback (most recent call last):
+        ...
+    ValueError: cells must hold numbers of nodes, 0 to 2, got 0 to 3
+    """
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() < n:
+        raise ValueError(
+            f"{name} must hold numbers of nodes, 0 to {n - 1}, got {numbers.min()} to "
+            f"{numbers.max()}"
+        )
+
+
 def level_outside() -> int:
     """Which stacklevel a warning needs to show the line of the user, outside of this package.
 

@@ -19,6 +19,7 @@ from esfem_core.checks import (
     Bools,
     Ints,
     check_array,
+    check_node_numbers,
     finite_array,
     flag,
     function,
@@ -218,11 +219,7 @@ class SurfaceSpace:
                 f"1, 2, 3, 4, 5, ...; got {cells.shape[1]}"
             )
         degree = whole_number("the degree of cells", degree, 1, MOST_DEGREE)
-        if len(cells) and not 0 <= cells.min() <= cells.max() < len(nodes):
-            raise ValueError(
-                f"cells must hold numbers of nodes, 0 to {len(nodes) - 1}, got {cells.min()} to "
-                f"{cells.max()}"
-            )
+        check_node_numbers("cells", cells, len(nodes))
         unused = np.bincount(cells.ravel(), minlength=len(nodes)) == 0
         if unused.any():
             raise ValueError(

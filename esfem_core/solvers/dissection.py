@@ -13,7 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from esfem_core.checks import Array, Ints, finite_array, integer_array, whole_number
+from esfem_core.checks import (
+    Array,
+    Ints,
+    check_node_numbers,
+    finite_array,
+    integer_array,
+    whole_number,
+)
 
 __all__ = ["Dissection", "dissect"]
 
@@ -78,8 +85,9 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     TypeError
         If an argument does not hold numbers.
     ValueError
-        If `part_size` is not an integer or less than 1, if an array has the wrong shape, if a
-        position is not finite, or if a node lies in no element.
+        If `part_size` is not an integer or less than 1, if an array has the wrong shape, if `cells`
+        holds other numbers than those of nodes, if a position is not finite, or if a node lies in
+        no element.
 
     Examples
     --------
@@ -96,8 +104,7 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     part_size = whole_number("part_size", part_size, least=1)
     points = finite_array("points", points, ("N", 3))
     cells = integer_array("cells", cells, ("T", "n"))
-    if cells.shape[1] < 3:
-        raise ValueError(f"cells must have shape (T, n) with n >= 3, got {cells.shape}")
+    _check_elements(cells, len(points))
     divisions = np.log2(max(len(points) / part_size, 1))
     depth = int(min(np.ceil(divisions), np.log2(len(cells))))
     corners = cells[:, :3]
@@ -112,6 +119,21 @@ def dissect(cells: Ints, points: Array, part_size: int = 100) -> Dissection:
     # Numbers of parts are paths from the root: where two of them part, all digits below differ.
     height = np.frexp((first ^ last).astype(float))[1].astype(np.int64)
     return Dissection(depth, cell_part, depth - height, first >> height)
+
+
+def _check_elements(cells: Ints, n_points: int) -> None:
+    """Refuse what holds no elements of these points.
+
+    Examples
+    --------
+    >>> _check_elements(np.zeros((0, 3), dtype=int), 4)
+    Traceback (most recent call last):
+        ...
+    ValueError: cells must have shape (T, n) with T >= 1 and n >= 3, got (0, 3)
+    """
+    if len(cells) < 1 or cells.shape[1] < 3:
+        raise ValueError(f"cells must have shape (T, n) with T >= 1 and n >= 3, got {cells.shape}")
+    check_node_numbers("cells", cells, n_points)
 
 
 def _neighbours(corners: Ints) -> tuple[Ints, Ints]:

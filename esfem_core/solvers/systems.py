@@ -203,5 +203,5 @@ def require_solved(b: Array, r: Array) -> None:
             f"no solution: x leaves {share:.2g} of b, in the mean over its entries (allowed: "
             f"{LEFT:g}); A must be positive definite, but may be singular to rounding, with b out "
             "of its range: if it takes constants to zero, as a stiffness matrix alone does, "
-            "subtract the mean of b from it, or add a multiple of M to A"
+            "add a multiple of the mass matrix to it"
         )

@@ -246,6 +246,7 @@ class Scheme:
             count += 1
             if r_v:
                 extra = r_v.pop()
+                _check_takes_up(b, extra)
                 b = b.copy()
                 b[:, : extra.shape[1]] += extra  # beside it may stand other right-hand sides
             return self.systems.solve_again(f"law {count}", K, b)
@@ -341,6 +342,24 @@ def _no_system_for_v(problem: Problem) -> str:
         "perturbation must be of what is solved for: one of 'v' is added to the system that a law "
         f"solves for the velocity, but {type(law).__name__} solves none; perturb {names}"
     )
+
+
+def _check_takes_up(b: Array, r_v: Array) -> None:
+    """Refuse the right-hand side of a law that does not begin with the components of v.
+
+    Examples
+    --------
+    >>> _check_takes_up(np.zeros(5), np.zeros((5, 3)))
+    Traceback (most recent call last):
+        ...
+    ValueError: perturbation of 'v' is added to the first right-hand side that a law solves for,...
+    """
+    if b.ndim < 2 or b.shape[1] < r_v.shape[1]:
+        raise ValueError(
+            "perturbation of 'v' is added to the first right-hand side that a law solves for, "
+            f"whose first columns are the components of v; the law gave one of shape {b.shape}: "
+            f"solve(K, b) with b of shape {r_v.shape}, all components at once"
+        )
 
 
 def _not_turned(at: Surface, previous: Array | None) -> Array:

@@ -114,14 +114,10 @@ def test_parts_without_nodes_are_refused():
         dissect(space.cells, space.nodes, part_size=0)
 
 
-def test_meshes_that_are_none_are_refused():
+def test_points_of_no_mesh_are_refused():
     space = SPACES[0]
     with pytest.raises(ValueError, match=r"points must have shape \(N, 3\), got \(4098, 2\)"):
         dissect(space.cells, space.nodes[:, :2])
-    with pytest.raises(
-        ValueError, match=r"cells must have shape \(T, n\) with n >= 3, got \(8192, 2"
-    ):
-        dissect(space.cells[:, :2], space.nodes)
     with pytest.raises(ValueError, match="node 4098 lies in no element"):
         dissect(space.cells, np.r_[space.nodes, [[0, 0, 0]]])
 
@@ -133,3 +129,17 @@ def test_pieces_that_do_not_touch():
     tree = dissect(space.cells, space.nodes)
     assert tree.depth > 1
     assert (tree.node_depth > 0).all()  # nothing separates them
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (np.zeros((0, 3)), r"shape \(T, n\) with T >= 1 and n >= 3, got \(0, 3\)"),
+        ([[0, 1]], r"shape \(T, n\) with T >= 1 and n >= 3, got \(1, 2\)"),
+        ([[0, 1, 3]], "numbers of nodes, 0 to 2, got 0 to 3"),
+        ([[0, 1, -1]], "numbers of nodes, 0 to 2, got -1 to 1"),
+    ],
+)
+def test_what_holds_no_elements_of_the_points_is_refused(cells, message):
+    with pytest.raises(ValueError, match=message):
+        dissect(cells, np.eye(3))

@@ -5,6 +5,7 @@ import sys
 import weakref
 from fractions import Fraction
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,6 +94,18 @@ def test_a_perturbation_of_a_velocity_that_no_system_is_solved_for_is_refused(la
     first, second = ec.evolve(SPACE, problem, 1, 0.01, 0.01, perturbation=lambda n: (10, 0, 0))
     assert (second.u > first.u).all()
     with pytest.raises(ValueError, match=f"solves for the velocity, but {advice}"):
+        list(ec.evolve(SPACE, problem, 1, 0.01, 0.01, perturbation=lambda n: {"v": 0.1}))
+
+
+def test_a_perturbation_of_a_velocity_that_is_solved_for_column_by_column_is_refused():
+    def velocity(at, fields, tau, past, solve):
+        K = at.matrix(1.0, 1.0)
+        return np.column_stack([solve(K, b) for b in (at.M @ at.x).T])
+
+    problem = ec.Problem(1.0, law=SimpleNamespace(velocity=velocity))
+    *_, state = ec.evolve(SPACE, problem, 1, 0.01, 0.01)
+    assert np.isfinite(state.v).all()
+    with pytest.raises(ValueError, match=r"of shape \(258,\).*with b of shape \(258, 3\)"):
         list(ec.evolve(SPACE, problem, 1, 0.01, 0.01, perturbation=lambda n: {"v": 0.1}))
 
 
