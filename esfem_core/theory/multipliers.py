@@ -239,7 +239,8 @@ def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     Raises
     ------
     TypeError, ValueError
-        If Re(delta/mu) is not positive in the unit disc, or delta and mu have a common divisor.
+        If Re(delta/mu) is not positive in the unit disc, or delta and mu have a common divisor with
+        a zero in the closed unit disc. One whose zeros lie outside does no harm.
 
     Examples
     --------
@@ -262,8 +263,9 @@ def g_matrix_of(delta: ArrayLike, mu: ArrayLike) -> Array:
     lowest = np.linalg.eigvalsh(G).min(initial=np.inf)
     if lowest <= _ZERO * np.trace(G):
         raise ValueError(
-            "delta and mu must have no common divisor and mu no zero in the unit disc, but G is "
-            f"not positive definite (lowest eigenvalue {lowest:.1e})"
+            "delta and mu must have no common divisor with a zero in the closed unit disc, and mu "
+            "no zero in the open one, but G is not positive definite (lowest eigenvalue "
+            f"{lowest:.1e})"
         )
     return G
 

@@ -249,6 +249,15 @@ class TestOtherPolynomials:
         left, right = sides(delta, mu, v, np.eye(5))
         assert abs(left - right) < 1e-12
 
+    @pytest.mark.parametrize("divisor", [[1, -0.5], [1, 0.3]])
+    def test_a_common_divisor_without_zeros_in_the_disc_is_accepted(self, divisor):
+        """It has its zero at 2 and at -10/3."""
+        delta = np.convolve(ec.bdf.delta(2), divisor)
+        assert np.linalg.eigvalsh(multipliers.g_matrix_of(delta, divisor))[0] > 1e-4
+        v = np.random.default_rng(2).normal(size=(4, 5))
+        left, right = sides(delta, divisor, v, np.eye(5))
+        assert abs(left - right) < 1e-12
+
     def test_trapezoidal_rule_conserves(self):
         """Here F = 0: no square is left."""
         np.testing.assert_array_equal(multipliers.g_matrix_of([1, -1], [0.5, 0.5]), [[0.5]])
@@ -270,8 +279,8 @@ class TestOtherPolynomials:
             ([-1, 1], [1], "negative on part"),
             ([-1], [1], "negative on part"),
             (ec.bdf.delta(3), [1], "changes at"),
-            ([1, -1], [1, -1], "common divisor"),
-            ([1, -3, 2], [1, -2], "common divisor"),
+            ([1, -1], [1, -1], "no common divisor with a zero in the closed unit disc"),
+            ([1, -3, 2], [1, -2], "no common divisor with a zero in the closed unit disc"),
             ([], [1], "delta must hold at least one coefficient"),
             ([1, -1], [[1]], r"mu must have shape \(n,\), got \(1, 1\)"),
             ([1, math.nan], [1], r"delta must be finite, but delta\[1\] is nan"),
