@@ -201,8 +201,8 @@ def error_terms(
     Raises
     ------
     TypeError, ValueError
-        If the pairs are not more than p or no states of this space, their times are not `step`
-        apart, or `chosen` returns neither defects of their shapes nor None.
+        If the pairs are not more than p or no states of this space with a "u" of one shape, their
+        times are not `step` apart, or `chosen` returns neither defects of their shapes nor None.
 
     Examples
     --------
@@ -263,12 +263,21 @@ def _checked_pairs(
     for n, pair in enumerate(iterable("pairs", pairs, "(State, State)")):
         if not isinstance(pair, tuple | list) or len(pair) != 2:
             raise TypeError(f"pairs[{n}] must be a pair (computed, exact), got {shown(pair)}")
+        first = exact[0] if exact else object_of("pairs[0][1]", pair[1], State)
         for i, state in enumerate(pair):
             name = f"pairs[{n}][{i}]"
             check_state(space, state, name)
+            if "u" not in state.fields:
+                raise ValueError(f'{name} must have values of "u", but has none')
+            wanted = first.fields.get("u", state.u).shape  # (N, 1) minus (N,) would be (N, N)
+            if state.u.shape != wanted:
+                raise ValueError(
+                    f"all u of pairs must have one shape, got {name}.u of shape "
+                    f"{state.u.shape} and pairs[0][1].u of {wanted}"
+                )
             if n >= order and state.v is None:
                 raise ValueError(f"{name} must have a velocity, but has none")
-            t = (exact[0].t if exact else pair[1].t) + n * step
+            t = first.t + n * step
             if abs(state.t - t) > 1e-6 * step:
                 raise ValueError(
                     f"{name} must be at the time of step {n}, t = {t:g} with step = {step:g}, but "

@@ -156,6 +156,21 @@ def test_terms_of_another_run_are_refused():
         proposition_1(error_terms(SPACE, pairs, 2, 1 / 20, nothing), "no")
 
 
+def test_errors_of_u_of_two_shapes_are_refused_rather_than_broadcast():
+    pairs = list(response(SPACE, PROBLEM, 2, 1 / 20, 0.2, nothing))
+    columns = [(ec.State(s.t, s.x, s.v, s.u[:, None]), exact) for s, exact in pairs]
+    later = [*pairs[:3], *((c, ec.State(e.t, e.x, e.v, c.u)) for c, e in columns[3:])]
+    without = [(s, ec.State(exact.t, exact.x, exact.v)) for s, exact in pairs]
+    for bad, message in (
+        (columns, r"got pairs\[0\]\[0\]\.u of shape \(42, 1\) and pairs\[0\]\[1\]\.u of \(42,\)"),
+        (later, r"got pairs\[3\]\[0\]\.u of shape \(42, 1\) and pairs\[0\]\[1\]\.u of \(42,\)"),
+        (without, r'pairs\[0\]\[1\] must have values of "u", but has none'),
+        ([(pairs[0][0], 3)], r"pairs\[0\]\[1\] must be a State, got 3"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            error_terms(SPACE, bad, 2, 1 / 20, nothing)
+
+
 @pytest.mark.parametrize("p", [1, 2, 3])
 @pytest.mark.parametrize("corrected", [False, True])
 def test_both_sides_of_the_estimate_are_sums_as_written(p, corrected):
