@@ -261,7 +261,13 @@ class _Exact(NamedTuple):
 
 def _exact_at(problem: Problem, field: Field, onto: Lift, t: float) -> _Exact:
     y, tangential = onto.points, tangent_projection(onto.normal)
-    u = cast(Exact, problem.exact).functions["u"]
+    exact_u = cast(Exact, problem.exact).functions["u"]
+
+    def u(z: Array, s: float) -> Array:
+        """Of points (T, Q, 3); the function is one of points (n, 3), and may be called again."""
+        points = z.reshape(-1, 3).copy()
+        values = finite_array("exact.u(x, t)", exact_u(points, s), (len(points),))
+        return np.array(values).reshape(z.shape[:-1])
 
     def slope(of: Callable[[Array], Array]) -> Array:
         """Ambient derivatives at y, last index."""
@@ -272,7 +278,7 @@ def _exact_at(problem: Problem, field: Field, onto: Lift, t: float) -> _Exact:
 
     v = np.array(finite_array("field.v(x, t)", field.v(y.copy(), t), y.shape))  # v is called again
     return _Exact(
-        u=u(y.copy(), t),
+        u=u(y, t),
         grad_u=apply(tangential, slope(lambda z: u(z, t))),
         rate=derivative(lambda s: u(y + s * v, t + s)),
         v=v,

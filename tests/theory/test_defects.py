@@ -515,6 +515,38 @@ def test_fields_of_another_shape_are_refused():
         spatial_terms_u(space, two, field, 0.6)
 
 
+@pytest.mark.parametrize("degree", [1, 2])  # of which the first has three quadrature points
+def test_an_exact_u_is_called_with_points_as_documented(degree):
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    space, field, u = space_of(0, degree), field_of(problem), problem.exact.u
+
+    held = {}
+
+    def of_points(x, t):
+        """The same array each time, and x spoilt."""
+        values = held.setdefault(len(x), np.empty(len(x)))
+        values[:] = u(np.stack([x[:, 0], x[:, 1], x[:, 2]], axis=1), t)
+        x *= 2
+        return values
+
+    expected = spatial_terms_u(space, problem, field, 0.6)
+    other = replace(problem, exact=problem.exact._replace(u=of_points))
+    for name, term in spatial_terms_u(space, other, field, 0.6).items():
+        np.testing.assert_array_equal(expected[name], term)
+
+
+def test_an_exact_u_of_another_shape_or_not_finite_away_from_the_nodes_is_refused():
+    problem = ec.problems.oscillating_ellipsoid("oscillation", "lifted")
+    space, field, u = space_of(0), field_of(problem), problem.exact.u
+    for bad, message in (
+        (lambda x, t: u(x, t)[:42], r"exact\.u\(x, t\) must have shape \(120,\), got \(42,\)"),
+        (lambda x, t: u(x, t) / (len(x) == 42), r"exact\.u\(x, t\) must be finite"),
+    ):
+        other = replace(problem, exact=problem.exact._replace(u=bad))
+        with np.errstate(all="ignore"), pytest.raises(ValueError, match=message):
+            spatial_terms_u(space, other, field, 0.6)
+
+
 def test_a_matrix_without_unknowns_has_no_dual_norm():
     with pytest.raises(ValueError, match="K must have at least one unknown"):
         ec.defects.dual_norm(csr_array((0, 0)), np.zeros(0))
