@@ -68,8 +68,8 @@ class Exact(_Functions):
 
     Raises
     ------
-    TypeError
-        If one is no function where one is needed, or one of other arguments.
+    TypeError, ValueError
+        If one is no function where one is needed, or one of other arguments, or u is given twice.
     """
 
     __slots__ = ()
@@ -94,6 +94,8 @@ class Exact(_Functions):
         for name, value in mapping("fields", fields, "functions of (x, t)").items():
             function(f"fields[{name!r}]", value, "of points (n, 3) and a time")
             check_arguments(f"fields[{name!r}]", value, "x, t", OF_PRESENT)
+        if u is not None and "u" in fields:
+            raise ValueError("u must be given once, but is given as u and in fields")
         return super().__new__(cls, x, v, u, closest, origin, fields)
 
     def __getnewargs__(self) -> tuple[Any, ...]:  # for copies; a read-only view cannot be copied

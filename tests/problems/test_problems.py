@@ -264,6 +264,15 @@ def test_functions_of_an_exact_solution_take_points_and_a_time(name, wrong):
         ec.Exact(**right | given(f))
 
 
+def test_an_exact_u_is_not_given_twice():
+    """One of the two would silently be left out."""
+    motion = (lambda p, t: p), (lambda p, t: 0 * p)
+    with pytest.raises(ValueError, match="u must be given once, but is given as u and in fields"):
+        ec.Exact(*motion, u=lambda x, t: x[:, 0], fields={"u": lambda x, t: x[:, 1]})
+    exact = ec.Exact(*motion, fields={"u": lambda x, t: x[:, 1]})
+    np.testing.assert_array_equal(exact.nodal(np.eye(3), 0.0)[2]["u"], [0, 1, 0])
+
+
 def test_a_law_needs_a_motion_or_a_velocity_and_not_both():
     message = "exactly one of motion and velocity must be given"
     for given in ({}, {"motion": lambda p, t: p, "velocity": lambda x, t: x}):
