@@ -1,7 +1,7 @@
 """Steps in time: linearly implicit BDF of order p."""
 
 from esfem_core.stepping import bdf
-from esfem_core.stepping.agreement import check_exact_surface
+from esfem_core.stepping.agreement import check_exact_surface, check_on_exact_surface
 from esfem_core.stepping.checkpoints import load, save
 from esfem_core.stepping.files import FULL, OwnFile, write_whole
 from esfem_core.stepping.guard import EvolutionWarning
@@ -35,6 +35,7 @@ __all__ = [
     "Statistics",
     "bdf",
     "check_exact_surface",
+    "check_on_exact_surface",
     "check_state",
     "evolve",
     "exact_state",

@@ -20,6 +20,7 @@ __all__ = [
     "check_exact_functions",
     "check_exact_surface",
     "check_motion_of_start",
+    "check_on_exact_surface",
     "check_precision",
     "check_slip",
     "check_start_of_motion",
@@ -278,16 +279,36 @@ def check_exact_surface(space: SurfaceSpace, problem: Problem) -> None:
             "exact must belong to this surface, X(p, 0) = p, but exact.x(p, 0) = "
             f"{x[node].tolist()} for the node p = {nodes[node].tolist()}{NOT_ON_IT}"
         )
-    if exact.closest is not None:
-        y = finite_array("exact.closest", exact.closest(nodes.copy(), 0.0), nodes.shape)
-        off = np.linalg.norm(y - nodes, axis=1)
-        node, h = int(np.argmax(off)), space.mesh_size(nodes)
-        if not off[node] <= OFF_SURFACE * h:
-            raise ValueError(
-                f"exact must belong to this surface, but the node {nodes[node].tolist()} has a "
-                f"distance of {off[node]:.3g} from the exact surface at t = 0, with triangles of "
-                f"h = {h:.3g}{NOT_ON_IT}"
-            )
+    check_on_exact_surface(space, problem, nodes, 0.0)
+
+
+def check_on_exact_surface(space: SurfaceSpace, problem: Problem, x: Array, t: float) -> None:
+    """Refuse positions of nodes off the exact surface at t, where closest points tell.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    problem : Problem
+        With an exact solution.
+    x : (N, 3) float array
+    t : float
+
+    Raises
+    ------
+    ValueError
+    """
+    assert problem.exact is not None
+    if problem.exact.closest is None:
+        return
+    y = finite_array("exact.closest", problem.exact.closest(x.copy(), t), x.shape)
+    off = np.linalg.norm(y - x, axis=1)
+    node, h = int(np.argmax(off)), space.mesh_size(x)
+    if not off[node] <= OFF_SURFACE * h:
+        raise ValueError(
+            f"exact must belong to this surface, but the node {x[node].tolist()} has a distance of "
+            f"{off[node]:.3g} from the exact surface at t = {t:g}, with triangles of h = {h:.3g}"
+            f"{NOT_ON_IT}"
+        )
 
 
 def check_exact_functions(space: SurfaceSpace, problem: Problem, first: State) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from esfem_core.checks import Array, finite_array, function, number, object_of, whole_number
 from esfem_core.elements import Surface, SurfaceSpace
 from esfem_core.problems import Exact, Problem
-from esfem_core.stepping import bdf, exact_state
+from esfem_core.stepping import bdf, check_on_exact_surface, exact_state
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface
 from esfem_core.theory.defects import (
@@ -51,7 +51,8 @@ def temporal_terms_v(
     Raises
     ------
     TypeError, ValueError
-        If a number is out of range, there is no exact solution, or the motion is prescribed.
+        If a number is out of range, there is no exact solution of this surface, or the motion is
+        prescribed.
 
     Examples
     --------
@@ -70,6 +71,7 @@ def temporal_terms_v(
     t = number("t", t)
     law = velocity_law(problem)
     now = exact_values(space, problem, t)
+    check_on_exact_surface(space, problem, now.x, t)
     far = _extrapolated(space, problem, order, step, t)
     (Mt, At), (M, A) = space.mass_stiffness(far.x), space.mass_stiffness(now.x)
     on_extrapolated = force_load(space, problem, far.x, now.u, t)
@@ -129,6 +131,7 @@ def temporal_terms_u(
         raise ValueError(f"n must be at least 2 p = {2 * order}, got {n}")
     t = n * step
     now = exact_values(space, problem, t)
+    check_on_exact_surface(space, problem, now.x, t)
     far = _extrapolated(space, problem, order, step, t)
     rate, masses = rate_of_u(space, problem, t), []
     for j in range(order + 1):
@@ -212,14 +215,15 @@ def spatial_terms_u(
     Raises
     ------
     ValueError
-        If there is no exact solution, u has several components, or `field` returns something of
-        the wrong shape or not finite.
+        If there is no exact solution of this surface, u has several components or does not return
+        (n,) at points (n, 3), or `field` returns something of the wrong shape or not finite.
     """
     object_of("field", field, Field)
     for name, of in (("surface", "a time"), ("v", "points and a time"), ("f", "points and a time")):
         function(f"field.{name}", getattr(field, name), f"of {of}")
     t = number("t", t)
     x, v, u = exact_values(space, problem, t)
+    check_on_exact_surface(space, problem, x, t)
     finite_array("the exact u", u, (len(x),))
     at, onto = Surface(space, x), lift(space, x, field.surface(t))
     ratio, exact = onto.ratio, _exact_at(problem, field, onto, t)

@@ -26,7 +26,7 @@ from esfem_core.errors import root_of_form, square_matrix
 from esfem_core.laws import Prescribed, Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
-from esfem_core.stepping import bdf, exact_state
+from esfem_core.stepping import bdf, check_on_exact_surface, exact_state
 from esfem_core.surfaces import derivative
 from esfem_core.theory.forms import check_definite, check_symmetric, divergence
 
@@ -183,8 +183,9 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     Raises
     ------
     TypeError, ValueError
-        If there is no exact solution, the problem is none of the theory
-        (:func:`constant_diffusivity`, :func:`regularised_law`), a number is out of range, or n < p.
+        If there is no exact solution, or it takes nodes off its own surface, since it is one of
+        another; the problem is none of the theory (:func:`constant_diffusivity`,
+        :func:`regularised_law`), a number is out of range, or n < p.
 
     Examples
     --------
@@ -210,6 +211,7 @@ def defects(space: SurfaceSpace, problem: Problem, order: int, step: float, n: i
     # Newest first. Extrapolating the positions at level n - p reaches back to n - 2 p.
     exact = [exact_values(space, problem, (n - j) * step) for j in range(min(2 * order, n) + 1)]
     now, d, t = exact[0], bdf.delta(order), n * step
+    check_on_exact_surface(space, problem, now.x, t)
 
     def at(j: int) -> Array:  # where the mass matrix of level n - j is taken
         if law is None or n - j < order:
@@ -254,7 +256,7 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     Raises
     ------
     TypeError, ValueError
-        If there is no exact solution, or the problem is none of the theory, as for
+        If there is no exact solution of this surface, or the problem is none of the theory, as for
         :func:`defects`.
 
     Examples
@@ -272,6 +274,7 @@ def spatial_defects(space: SurfaceSpace, problem: Problem, t: float) -> Defects:
     """
     constant_diffusivity(problem)
     x, v, u = exact_values(space, problem, t)
+    check_on_exact_surface(space, problem, x, t)
     A = space.mass_stiffness(x)[1]
     du = rate_of_mass(space, x, v, u, rate_of_u(space, problem, t))
     du += diffusion(problem, A, u) - source_load(space, problem, x, u, t)

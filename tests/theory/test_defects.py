@@ -547,6 +547,37 @@ def test_an_exact_u_of_another_shape_or_not_finite_away_from_the_nodes_is_refuse
             spatial_terms_u(space, other, field, 0.6)
 
 
+@pytest.mark.parametrize(
+    "of",
+    [
+        lambda space: defects(space, EXPANDING, 2, 0.05, 5),
+        lambda space: spatial_defects(space, EXPANDING, 0.5),
+        lambda space: temporal_terms_v(space, EXPANDING, 2, 0.05, 0.5),
+        lambda space: temporal_terms_u(space, EXPANDING, 2, 0.05, 10),
+        lambda space: spatial_terms_u(space, EXPANDING, field_of(EXPANDING), 0.5),
+    ],
+)
+def test_defects_of_an_exact_solution_of_another_surface_are_refused(of):
+    """The exact nodes of a torus on which a sphere moves are no nodes of the sphere."""
+    torus = ec.SurfaceSpace(ec.torus(1, 0.4, 12, 6))
+    with pytest.raises(ValueError, match="exact must belong to this surface, but the node"):
+        of(torus)
+
+
+def test_defects_of_a_motion_that_begins_later_are_its_defects_at_later_times():
+    """Its nodes are elsewhere at t = 0, but on the exact surface."""
+
+    def later(name):
+        return lambda x, t: getattr(EXPANDING.exact, name)(x, t + 0.5)
+
+    begun = ec.Exact(**{name: later(name) for name in ("x", "v", "u", "closest")})
+    found, expected = (
+        defects(space_of(), ec.Problem(u0=1.0, exact=exact), 2, 0.05, n)
+        for exact, n in ((begun, 5), (EXPANDING.exact, 15))
+    )
+    assert found.v == pytest.approx(expected.v, abs=1e-12)
+
+
 def test_a_matrix_without_unknowns_has_no_dual_norm():
     with pytest.raises(ValueError, match="K must have at least one unknown"):
         ec.defects.dual_norm(csr_array((0, 0)), np.zeros(0))
