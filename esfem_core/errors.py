@@ -41,6 +41,7 @@ __all__ = [
     "seminorm",
     "square_matrix",
     "time_norms",
+    "unit_of",
 ]
 
 
@@ -75,7 +76,8 @@ def seminorm(matrix: csr_array, w: ArrayLike) -> float:
 
     over the components c of the values. With the mass matrix M(x) this is the L2 norm on
     Γ_h[x] of the finite element function with nodal values w, with the stiffness matrix A(x) its H1
-    seminorm ([N] section 3, [LMV] (2.8)).
+    seminorm ([N] section 3, [LMV] (2.8)). Of values below 1e-162 the squares are no numbers, and it
+    is zero.
 
     Parameters
     ----------
@@ -161,6 +163,21 @@ def root_of_form(name: str, w: Array, image: Array, size: float = 0.0) -> float:
     return float(np.sqrt(max(square, 0.0)))
 
 
+def unit_of(values: Array) -> float:
+    """Power of two near the largest of finite values, for norms whose squares are out of range.
+
+    No digit is lost: the norm is `unit` times that of ``values / unit``.
+
+    Examples
+    --------
+    >>> values = np.array([3e200, 4e200])
+    >>> unit = unit_of(values)
+    >>> bool(np.isclose(unit * np.sqrt(np.sum((values / unit) ** 2)), 5e200))
+    True
+    """
+    return float(2.0 ** int(np.frexp(np.abs(values).max(initial=0.0))[1] - 1))
+
+
 def compare(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     """Errors against the nodal interpolant of the exact solution on Γ_h[x_*] ([N] 7.4).
 
@@ -211,6 +228,7 @@ def lifted(space: SurfaceSpace, problem: Problem, state: State) -> Errors:
     ``||x^L - id||``, ``||v^L - v||``, ``||u^L - u||`` in L2(Γ(t)) and with tangential gradients.
     Unlike :func:`compare`, this counts the error of interpolation. The quadrature is exact to
     degree 2k + 2, whatever the space's: on coarse meshes three digits of the errors are right.
+    Errors whose squares are no numbers, above 1e154 or below 1e-162, become infinite or zero.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ AMONG_ROOMS = {
     *("check_initial", "check_law", "check_no_slip", "check_of_points"),
     *("check_of_surface", "finite_nodal", "positions_of"),
     *("same_species", "values_at"),
-    *("root_of_form", "square_matrix"),
+    *("root_of_form", "square_matrix", "unit_of"),
 }
 
 

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, issparse
 
 from esfem_core.checks import Array, finite_array, number, object_of, shown, whole_number
 from esfem_core.elements import Surface, SurfaceSpace
-from esfem_core.errors import root_of_form, square_matrix
+from esfem_core.errors import root_of_form, square_matrix, unit_of
 from esfem_core.laws import Prescribed, Regularised
 from esfem_core.problems import Problem
 from esfem_core.solvers import Factor, superlu
@@ -130,8 +130,9 @@ def dual_norm(K: csr_array | Factor, functional: ArrayLike) -> float:
         raise TypeError(f"K must be a sparse matrix or its Factor, got {shown(K)}")
     else:
         r = finite_array("functional", functional, ("N", "..."))
-    columns = r.reshape(len(r), -1)
-    return root_of_form("K", columns, K.solve(columns))
+    unit = unit_of(r)
+    columns = r.reshape(len(r), -1) / unit
+    return unit * root_of_form("K", columns, K.solve(columns))
 
 
 def _check_unknowns(K: csr_array) -> None:

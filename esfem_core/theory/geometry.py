@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, finite_array, function, object_of
 from esfem_core.elements import SurfaceSpace
+from esfem_core.errors import unit_of
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
 from esfem_core.theory.forms import Lift, check_surface, lift, mass, stiffness
@@ -109,8 +110,8 @@ def apply(matrices: Array, vectors: Array) -> Array:
 def largest_norm(tensors: Array) -> float:
     """Largest Frobenius norm of vectors (T, Q, 3) or matrices (T, Q, 3, 3); 0 if there are none."""
     tensors = finite_array("tensors", tensors, ("T", "Q", 3, "..."))
-    axes = -1 if tensors.ndim == 3 else (-2, -1)
-    return float(np.linalg.norm(tensors, axis=axes).max(initial=0.0))
+    axes, unit = -1 if tensors.ndim == 3 else (-2, -1), unit_of(tensors)
+    return unit * float(np.linalg.norm(tensors / unit, axis=axes).max(initial=0.0))
 
 
 def lifted_norm(space: SurfaceSpace, x: Array, onto: Lift, values: Array) -> float:
@@ -146,9 +147,10 @@ def lifted_norm(space: SurfaceSpace, x: Array, onto: Lift, values: Array) -> flo
     """
     object_of("space", space, SurfaceSpace)
     shape = object_of("onto", onto, Lift).ratio.shape
-    squares = finite_array("values", values, (*shape, "...")) ** 2
-    total = squares.reshape(*shape, -1).sum(axis=-1)
-    return float(np.sqrt(space.integrate(x, onto.ratio * total)))
+    values = finite_array("values", values, (*shape, "..."))
+    unit = unit_of(values)
+    total = ((values / unit) ** 2).reshape(*shape, -1).sum(axis=-1)
+    return unit * float(np.sqrt(space.integrate(x, onto.ratio * total)))
 
 
 def _shrinking(near: Near) -> Array:

@@ -240,6 +240,14 @@ def test_dual_norm_takes_matrices_of_other_numbers(kind):
     assert dual_norm(csr_array(4 * np.eye(3, dtype=kind)), np.ones(3)) == pytest.approx(0.75**0.5)
 
 
+@pytest.mark.parametrize("power", [-900, -570, 530, 1000])
+def test_dual_norm_is_homogeneous_where_squares_are_out_of_range(power):
+    space = space_of(0)
+    K = sum(space.mass_stiffness(space.nodes))
+    r = K @ space.nodes
+    assert dual_norm(K, 2.0**power * r) == 2.0**power * dual_norm(K, r)
+
+
 def test_dual_norm_refuses_a_matrix_that_vanishes_on_constants():
     A = space_of(0).mass_stiffness(space_of(0).nodes)[1]
     with pytest.raises(ValueError, match="K must be positive definite, but has the pivot"):

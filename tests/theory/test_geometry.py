@@ -132,6 +132,16 @@ def test_sizes_are_frobenius_norms():
     assert geometry.largest_norm(tensors[:0]) == 0.0
 
 
+@pytest.mark.parametrize("power", [-900, -570, 530, 1000])
+def test_norms_are_homogeneous_where_squares_are_out_of_range(power):
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
+    onto = forms.lift(space, space.nodes, Sphere())
+    values = 2.0**power * onto.points
+    assert geometry.largest_norm(values) == 2.0**power * geometry.largest_norm(onto.points)
+    expected = geometry.lifted_norm(space, space.nodes, onto, onto.points)
+    assert geometry.lifted_norm(space, space.nodes, onto, values) == 2.0**power * expected
+
+
 def test_a_normal_that_is_no_vector_is_refused():
     with pytest.raises(ValueError, match="normal must have shape"):
         geometry.tangent_projection([1.0, 0.0])
