@@ -603,6 +603,8 @@ def doors() -> list[Door]:
              {"matrix": one(K, called=("K",))}),
         Door("forms.lift", ec.forms.lift,
              {"space": one(space), "x": array(x), "surface": one(unit)}),
+        Door("forms.near_of", ec.forms.near_of,
+             {"surface": one(unit), "points": array(points, before=True, rows=True)}),
         Door("forms.check_surface", ec.forms.check_surface, {"surface": one(unit)}),
         Door("forms.relative_norm", ec.forms.relative_norm,
              {"form": one(M), "norm": one(K), "seminorm": flag(False)}),

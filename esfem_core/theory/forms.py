@@ -37,6 +37,7 @@ __all__ = [
     "lift",
     "mass",
     "mass_rate",
+    "near_of",
     "relative_norm",
     "stiffness",
     "stiffness_rate",
@@ -331,9 +332,8 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     1.00000000
     """
     object_of("space", space, SurfaceSpace)
-    check_surface(surface)
     points = space.quadrature_points(x)
-    near = _near(surface, points)
+    near = near_of(surface, points)
     normal_h = space.normals(x)
     cosine = np.sum(normal_h * near.normal, axis=-1)
     stretch = np.eye(3) + near.distance[..., None, None] * near.weingarten
@@ -353,14 +353,32 @@ def lift(space: SurfaceSpace, x: Array, surface: ExactSurface) -> Lift:
     )
 
 
-def _near(surface: ExactSurface, points: Array) -> Near:
-    """What a surface says of points; a reader's own may say anything."""
+def near_of(surface: ExactSurface, points: Array) -> Near:
+    """What a surface says of points (..., 3), looked at: a reader's own may say anything.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a point has no unique closest point, or a surface of the reader's own does not return a
+        :class:`Near` of finite arrays.
+
+    Examples
+    --------
+    >>> from esfem_core.surfaces.exact_surfaces import Sphere
+    >>> near_of(Sphere(), np.array([[0.0, 0.0, 3.0]])).distance
+    array([2.])
+    """
+    check_surface(surface)
+    points = finite_array("points", points, ("...", 3))
     near = object_of("surface.near(x)", surface.near(points), Near)
     shape = points.shape
     shapes = {"points": shape, "distance": shape[:-1], "normal": shape, "weingarten": (*shape, 3)}
-    for name, wanted in shapes.items():
-        finite_array(f"surface.near(x).{name}", getattr(near, name), wanted)
-    return near
+    return Near(
+        *(
+            finite_array(f"surface.near(x).{name}", getattr(near, name), wanted)
+            for name, wanted in shapes.items()
+        )
+    )
 
 
 def relative_norm(form: csr_array, norm: csr_array, seminorm: bool = False) -> float:

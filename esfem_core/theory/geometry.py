@@ -23,7 +23,7 @@ from esfem_core.elements import SurfaceSpace
 from esfem_core.errors import unit_of
 from esfem_core.surfaces import derivative
 from esfem_core.surfaces.exact_surfaces import ExactSurface, Near
-from esfem_core.theory.forms import Lift, check_surface, lift, mass, stiffness
+from esfem_core.theory.forms import Lift, lift, mass, near_of, stiffness
 
 __all__ = [
     "GeometricErrors",
@@ -177,7 +177,8 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
     Raises
     ------
     TypeError, ValueError
-        If a point has no unique closest point, or is 1e8 radii of curvature away.
+        If a point has no unique closest point, or is 1e8 radii of curvature away; or as by
+        :func:`~esfem_core.theory.forms.near_of`.
 
     Examples
     --------
@@ -185,8 +186,7 @@ def closest_point_derivative(surface: ExactSurface, points: Array) -> Array:
     >>> closest_point_derivative(Sphere(), np.array([0.0, 0.0, 2.0])).diagonal()
     array([0.5, 0.5, 0. ])
     """
-    check_surface(surface)
-    near = surface.near(finite_array("points", points, ("...", 3)))
+    near = near_of(surface, points)
     away = np.abs(near.distance) * np.linalg.norm(near.weingarten, axis=(-2, -1))
     if not (away < FAR).all():
         raise ValueError(
@@ -230,7 +230,7 @@ def lift_operators(space: SurfaceSpace, x: Array, surface: ExactSurface) -> tupl
     True
     """
     ratio = lift(space, x, surface).ratio  # which looks at the arguments
-    near = surface.near(space.quadrature_points(x))
+    near = near_of(surface, space.quadrature_points(x))
     shrinking = _shrinking(near)
     B = tangent_projection(space.normals(x)) @ shrinking
     R = tangent_projection(near.normal) @ shrinking @ B / ratio[..., None, None]

@@ -132,6 +132,35 @@ def test_sizes_are_frobenius_norms():
     assert geometry.largest_norm(tensors[:0]) == 0.0
 
 
+class Own(Sphere):
+    """A surface of the reader's own, that changes what a sphere says."""
+
+    def __init__(self, **changes):
+        super().__init__()
+        self.__dict__["changes"] = changes
+
+    def near(self, x):
+        near = super().near(x)
+        return near._replace(**{name: of(getattr(near, name)) for name, of in self.changes.items()})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"distance": lambda d: d[..., None]}, r"\.distance must have shape \(2,\), got \(2, 1\)"),
+        ({"normal": lambda n: n * np.nan}, r"\.normal must be finite"),
+        ({"weingarten": lambda W: W[..., 0]}, r"\.weingarten must have shape \(2, 3, 3\), got"),
+    ],
+)
+def test_what_a_surface_of_ones_own_says_of_points_is_looked_at(changes, message):
+    points = np.array([[0.0, 0.0, 2.0], [0.0, 3.0, 0.0]])
+    with pytest.raises(ValueError, match=r"surface\.near\(x\)" + message):
+        geometry.closest_point_derivative(Own(**changes), points)
+    lists = Own(distance=np.ndarray.tolist, weingarten=np.ndarray.tolist)
+    found = geometry.closest_point_derivative(lists, points)
+    np.testing.assert_array_equal(found, geometry.closest_point_derivative(Sphere(), points))
+
+
 @pytest.mark.parametrize("power", [-900, -570, 530, 1000])
 def test_norms_are_homogeneous_where_squares_are_out_of_range(power):
     space = ec.SurfaceSpace(ec.sphere("icosahedron", 0), 2, ec.to_unit_sphere)
