@@ -237,8 +237,8 @@ class DirectSolver:
             If `A` is not in CSR format, its entries or `b` are not real, or `factorise` returns no
             Factor.
         ValueError
-            If `A` is not square, `b` does not fit it, or SuperLU or CHOLMOD is to factorise a
-            matrix that is not symmetric.
+            If `A` is not square, `b` does not fit it, or a factorisation of this package is to
+            take a matrix that is not symmetric.
         numpy.linalg.LinAlgError
             If the matrix is singular, or not symmetric and positive definite, and the residual of
             the answer shows it.

@@ -116,8 +116,8 @@ class LaggedSolver:
         TypeError
             If `A` is not in CSR format, or its entries, `b` or `guess` are not real.
         ValueError
-            If `A` is not square, or not as large as those before; or if `b` or `guess` does not
-            fit it.
+            If `A` is not square, or not as large as those before; if `b` or `guess` does not fit
+            it; or if it is factorised and not symmetric.
         numpy.linalg.LinAlgError
             If `A` is not finite, or the residual asked for is not reached with a factorisation of
             `A` itself, at last with that by SuperLU; or if rounding level is so high, since `A` is

@@ -28,7 +28,7 @@ from scipy.sparse import csr_array
 
 from esfem_core.checks import Array, object_of, shown
 from esfem_core.solvers.fronts import Batch, Fronts, Level
-from esfem_core.solvers.systems import right_hand_side, square
+from esfem_core.solvers.systems import check_halves, right_hand_side, square
 from esfem_core.solvers.threads import pieces, side_by_side
 
 __all__ = ["BlockFactor", "factorise"]
@@ -80,8 +80,8 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
     TypeError
         If the matrix is not in CSR format, or its entries are not real.
     ValueError
-        If it is not square or its pattern differs from that of the fronts, or if `dtype` is
-        another one.
+        If it is not square, not symmetric or its pattern differs from that of the fronts, or if
+        `dtype` is another one.
     numpy.linalg.LinAlgError
         If the matrix is singular or not finite.
 
@@ -110,6 +110,7 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
                 "A must have the pattern that the fronts were made for, that of space.pattern; got "
                 "as many entries at other places"
             )
+    check_halves(A)  # a fiftieth of the time of the factorisation, or less
     if dtype is not None:
         return _factorise(A, fronts, _precision(dtype))
     single = _in_single(A, fronts)

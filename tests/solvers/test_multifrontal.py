@@ -137,6 +137,16 @@ def test_another_pattern_is_refused():
         factorise(turned, space.fronts)
 
 
+@pytest.mark.parametrize("dtype", [None, np.float32, np.float64])
+def test_a_matrix_that_is_not_symmetric_is_refused(dtype):
+    """Of two entries that mirror each other one is read, and another system would be solved."""
+    space = SPACES["quadratic"]
+    A = system(space)
+    A.data[1] += 0.5
+    with pytest.raises(ValueError, match="A must be symmetric and positive definite, but is not s"):
+        factorise(A, space.fronts, dtype)
+
+
 @pytest.mark.parametrize(("weight", "dtype"), [(1.0, np.float32), (1e-9, np.float64)])
 def test_nearly_singular_matrices_are_kept_in_double_precision(weight, dtype):
     space = SPACES["quadratic"]
