@@ -99,6 +99,7 @@ class TangentPlanes:
 
     def values(self, nodal: Array) -> Callable[[Array], Array]:
         """Take points (n, 3) to values near them, (n,), of a function given at the nodes, (N,)."""
+        nodal = finite_array("nodal", nodal, (len(self.x),))
         many = np.concatenate(
             [(values @ nodal[cells].T).T.ravel() for values, cells in self._where]
         )
@@ -115,6 +116,7 @@ class TangentPlanes:
 
     def _nearest(self, x: Array) -> Ints:
         """Numbers of the points that are looked up, (n,); anew where x differs from the last."""
+        x = finite_array("x", x, ("n", 3))
         last, found = self._last
         if len(last) != len(x):
             last, found = np.full(x.shape, np.nan), np.empty(len(x), dtype=np.int64)

@@ -38,6 +38,20 @@ def test_values_are_looked_up_where_points_are_near():
     assert np.abs(found - points[:, 2]).max() < 0.03
 
 
+def test_points_and_values_of_other_shapes_are_refused():
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2, ec.to_unit_sphere)
+    planes = TangentPlanes(ec.Surface(space, space.nodes), 0.05)
+    for bad in (space.nodes, np.ones(len(space.nodes) + 1), np.ones((len(space.nodes), 1))):
+        with pytest.raises(ValueError, match=r"nodal must have shape \(66,\), got"):
+            planes.values(bad)
+    for of in (planes.distance, planes.normal, planes.near, planes.values(space.nodes[:, 0])):
+        with pytest.raises(ValueError, match=r"x must have shape \(n, 3\), got \(3,\)"):
+            of(np.array([0.0, 0.0, 1.5]))
+        with pytest.raises(ValueError, match=r"x must be finite, but x\[0, 0\] is nan"):
+            of(np.array([[np.nan, 0.0, 1.5]]))
+        np.testing.assert_array_equal(of([[0, 0, 1.5]]), of(np.array([[0.0, 0.0, 1.5]])))
+
+
 def off_by(planes, x, points):
     """How far points are from the places whose values are theirs."""
     found = np.stack([planes.values(column)(points) for column in x.T], axis=1)
