@@ -304,6 +304,7 @@ def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
     >>> turned_to_outside(np.asarray(tri.vertices), tri.faces[:, ::-1]).all()
     np.True_
     """
+    faces = np.asarray(faces, dtype=np.int64)  # NumPy 2.0 takes no uint64 for numbers of vertices
     turned, _ = turned_to_agree(faces)
     closed = ~open_components(faces, sides_of(faces))
     if closed.any():
