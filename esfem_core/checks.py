@@ -30,6 +30,7 @@ __all__ = [
     "check_arguments",
     "check_array",
     "check_even",
+    "check_node_numbers",
     "check_nodes",
     "check_string",
     "finite_array",
