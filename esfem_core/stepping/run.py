@@ -412,13 +412,13 @@ def _checked_start(
         raise ValueError(f"start must hold p = {order} states or more, got {len(states)}")
     states = states[-order:]
     for i, state in enumerate(states):
-        check_state(space, state, f"start[{i}]")
-        _check_functions(f"start[{i}]", problem, state)
+        check_state(space, state, f"start[{i - order}]")
+        _check_functions(f"start[{i - order}]", problem, state)
     for i, state in enumerate(states):
         for key in problem.all_species:
             if state[key].shape != (shape := states[-1][key].shape):
                 raise ValueError(
-                    f"start[{i}][{key!r}] must have the shape {shape} that it has in the "
+                    f"start[{i - order}][{key!r}] must have the shape {shape} that it has in the "
                     f"last state, got {state[key].shape}"
                 )
     times = [state.t for state in states]

@@ -212,12 +212,12 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
         (
             lambda s: [s[0], dataclasses.replace(s[1], fields={"a": s[1]["a"]})],
             ValueError,
-            r"start\[1\] must have the function 'b', it has 'a'; dataclasses\.replace\(",
+            r"start\[-1\] must have the function 'b', it has 'a'; dataclasses\.replace\(",
         ),
         (
             lambda s: [s[0], ec.State(s[1].t, s[1].x)],
             ValueError,
-            r"start\[1\] must have the function 'a', it has none",
+            r"start\[-1\] must have the function 'a', it has none",
         ),
         (
             lambda s: [s[0], dataclasses.replace(s[1], x=s[1].x[1:])],
@@ -230,7 +230,7 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
                 s[1],
             ],
             ValueError,
-            r"start\[0\]\['a'\] must be finite, but start\[0\]\['a'\]\[0\] is nan",
+            r"start\[-2\]\['a'\] must be finite, but start\[-2\]\['a'\]\[0\] is nan",
         ),
         (
             lambda s: [
@@ -238,7 +238,7 @@ def test_an_amount_that_is_kept_is_kept_in_parts(mass, p):
                 dataclasses.replace(s[1], fields=s[1].fields | {"a": s[1].x}),
             ],
             ValueError,
-            r"start\[0\]\['a'\] must have the shape \(66, 3\) that it has in the last state, got",
+            r"start\[-2\]\['a'\] must have the shape \(66, 3\) that it has in the last state, got",
         ),
     ],
 )
@@ -246,6 +246,18 @@ def test_states_to_start_from_are_refused_at_the_call(start, error, message):
     states = run(PROBLEMS["two species"], 2, end=3 * STEP)
     with pytest.raises(error, match=message):
         ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=start(states))
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_of_many_states_that_which_is_wrong_is_named(name):
+    """The last p count: a number from the front would be that of another state."""
+    states = run(PROBLEMS["two species"], 2, end=5 * STEP)
+    bad = states[4]
+    states[4] = dataclasses.replace(bad, fields=bad.fields | {name: np.nan * bad[name]})
+    with pytest.raises(ValueError, match=r"^start\[-2\]\['.'\] must be finite") as found:
+        ec.evolve(SPACE, PROBLEMS["two species"], 2, STEP, 1.0, start=states)
+    named = eval(str(found.value).partition(" ")[0], {"start": states})
+    assert np.isnan(named).all()
 
 
 def test_states_in_another_order_are_taken_once_they_are_put_as_advised():
@@ -286,7 +298,7 @@ def test_states_of_another_space_with_as_many_nodes_are_refused():
     message = (
         r"must be a state of this space, SurfaceSpace\(degree=1.*one of SurfaceSpace\(degree=2"
     )
-    with pytest.raises(ValueError, match=r"start\[0\] " + message):
+    with pytest.raises(ValueError, match=r"start\[-2\] " + message):
         ec.evolve(linear, problem, 2, 0.05, 0.4, start=states)
     with pytest.raises(ValueError, match="state " + message):
         ec.errors.compare(linear, problem, states[-1])
@@ -298,7 +310,7 @@ def test_components_must_fit_the_diffusivities():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     for values in (space.nodes[:, 0], space.nodes):
         start = [ec.State(0.0, space.nodes, fields={"b": values}, space=space)]
-        with pytest.raises(ValueError, match=r"start\[0\]\['b'\] must have 2 components"):
+        with pytest.raises(ValueError, match=r"start\[-1\]\['b'\] must have 2 components"):
             ec.evolve(space, problem, 1, 0.1, 0.2, start=start)
 
 
