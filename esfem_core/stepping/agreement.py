@@ -12,7 +12,8 @@ from esfem_core.elements import Surface, SurfaceSpace, nodal_average
 from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping.guard import EvolutionWarning
-from esfem_core.stepping.state import State
+from esfem_core.stepping.state import Method, State
+from esfem_core.stepping.times import TOLERANCE
 from esfem_core.surfaces import components, volumes
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "check_slip",
     "check_start_of_motion",
     "check_starts",
+    "check_step_of_start",
     "innermost",
 ]
 
@@ -44,6 +46,7 @@ SPEED = 1e-3  # how far, relative to the largest, exact velocities may be from d
 LOOKED_AT = (0.382, 0.618)  # shares of a run: a kink or a turning point is hardly at both
 WITHIN = (1 / 8, 1 / 1000)  # of a step, to both sides: little rounding, or motions that are fast
 NORMAL = 0.2  # share of a slip that may be normal: nodal normals of a coarse mesh are not exact
+OWN_MASS = 1e-10  # how far, relatively, products M w may be from those with the state's own M
 AT_REST = 1e-8  # slip of a component, relative to that of the surface, that may be rounding
 
 
@@ -181,6 +184,39 @@ def check_starts(
                 f"there: it encloses a volume of {volume[i]:.3g}, with the nodes of the space "
                 f"{before[i]:.3g}"
             )
+
+
+def check_step_of_start(space: SurfaceSpace, start: Sequence[State], method: Method) -> None:
+    """Refuse a step that differs from that of the states by rounding, if that loses their history.
+
+    Products M(x~) w belong to a step and are not taken for another one. If that is another one but
+    for rounding, nobody wants M(x) w in their place, with other amounts.
+
+    Parameters
+    ----------
+    space : SurfaceSpace
+    start : sequence of State
+        With the functions of the problem.
+    method : (str, int, float)
+        Of the run: mass, order and step.
+
+    Raises
+    ------
+    ValueError
+    """
+    *scheme, step = method
+    for state in start:
+        *own_scheme, own = state.method or method
+        if own_scheme != scheme or own == step or abs(own - step) > TOLERANCE * step:
+            continue
+        for name, kept in state.products.items():
+            without = space.mass_times(state.x, state[name])
+            if np.abs(kept - without).max() > OWN_MASS * np.abs(kept).max():
+                raise ValueError(
+                    f"step must be that of the states in start to the last bit, step={own!r}, got "
+                    f"{step!r}: the amounts of {name!r} that they keep, M(x~) {name}, belong to "
+                    "that step, and another one, even by rounding, does without them"
+                )
 
 
 def check_exact(space: SurfaceSpace, problem: Problem, t: float, end: float) -> None:

@@ -46,6 +46,7 @@ from esfem_core.stepping.agreement import (
     check_slip,
     check_start_of_motion,
     check_starts,
+    check_step_of_start,
     innermost,
 )
 from esfem_core.stepping.bdf import MOST_STEPS
@@ -271,6 +272,7 @@ def evolve(
     _check_law(space, problem, order)
     if isinstance(given, list):
         check_motion_of_start(space, problem, given[-1])
+        check_step_of_start(space, given, (mass, order, step))
     systems = Systems(
         make_solver,
         space.pattern,
