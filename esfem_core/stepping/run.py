@@ -451,8 +451,8 @@ def _check_functions(name: str, problem: Problem, state: State) -> None:
     for key, species in problem.all_species.items():
         if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
-            values = "state.v" if key == "velocity" else "values"
-            advice = f"dataclasses.replace(state, fields={{**state.fields, {key!r}: {values}}})"
+            values = "state.v" if key == "velocity" and state.v is not None else "values"
+            advice = f"state.with_functions({{{key!r}: {values}}}) has it"
             if key in problem.law_species and species.initial is None:
                 advice = "esfem_core.started_anew(state, problem, order, step) makes it"
             raise ValueError(f"{name} must have the function {key!r}, it has {known}; {advice}")

@@ -103,7 +103,7 @@ class State:
             if "u" in given:
                 raise ValueError(
                     "u must be given once, but is given as u and in fields; "
-                    "dataclasses.replace(state, fields={**state.fields, 'u': u}) changes it"
+                    "state.with_functions({'u': u}) changes it"
                 )
             given["u"] = u
         x = real_array("x", x, ("N", 3))
@@ -186,6 +186,45 @@ class State:
         except KeyError:
             known = ", ".join(map(repr, self.fields)) or "none"
             raise KeyError(f"the state has no function {name!r}, only {known}") from None
+
+    def with_functions(self, functions: Mapping[str, Array]) -> "State":
+        """Return the state with further functions, or with other values of those that it has.
+
+        All else stays, also what a run needs to go on exactly, `products` and `method`, which
+        dataclasses.replace drops; but products of functions that have other values.
+
+        Parameters
+        ----------
+        functions : mapping of str to (N, ...) float array
+            Nodal values.
+
+        Returns
+        -------
+        State
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an array has the wrong shape or is not real.
+
+        Examples
+        --------
+        >>> import esfem_core as ec
+        >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+        >>> *_, last = ec.evolve(space, ec.problems.growing_sphere(), order=1, step=0.1, end=0.2)
+        >>> last.with_functions({"w": last.x[:, 2]})
+        State(t=0.2, nodes=66, fields: u, w)
+        """
+        others = mapping("functions", functions, "nodal values")
+        return State(
+            self.t,
+            self.x,
+            self.v,
+            space=self.space,
+            fields={**self.fields, **others},
+            products={name: b for name, b in self.products.items() if name not in others},
+            method=self.method,
+        )
 
     def surface(self) -> Surface:
         """Return the surface with all functions on it, for integrals and pictures."""

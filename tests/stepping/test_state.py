@@ -295,6 +295,22 @@ def test_a_changed_state_has_no_products_of_the_old_one():
     assert doubled.space is space
 
 
+def test_a_state_with_further_functions_keeps_all_else():
+    last = RUN[-1]
+    more = last.with_functions({"w": X[:, 0]})
+    assert list(more.fields) == ["a", "b", "w"]
+    assert (more.t, more.method, more.space) == (last.t, last.method, last.space)
+    np.testing.assert_array_equal(more.products["a"], last.products["a"])
+    np.testing.assert_array_equal(more.v, last.v)
+    other = more.with_functions({"a": X[:, 1]})
+    assert list(other.fields) == ["a", "b", "w"]
+    assert not other.products
+    with pytest.raises(TypeError, match="functions must be a mapping from names"):
+        last.with_functions(X)
+    with pytest.raises(ValueError, match=r"w must have shape \(66, \.\.\.\), got \(65,\)"):
+        last.with_functions({"w": X[1:, 0]})
+
+
 def test_arrays_of_a_state_have_one_row_for_each_node():
     with pytest.raises(ValueError, match=r"^v must have shape \(66, 3\), got \(5, 3\)"):
         ec.State(0.0, X, X[:5])
