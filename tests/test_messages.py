@@ -16,8 +16,8 @@ MOST = 5  # wrong values of an argument here; `make fuzz` tries all
 DOORS = {door.name: door for door in doors()}
 # With these, rooms look at arguments for each other.
 AMONG_ROOMS = {
-    *("check_initial", "check_law", "check_no_slip", "check_of_points"),
-    *("check_of_surface", "finite_nodal", "positions_of"),
+    *("check_initial", "check_law", "check_no_slip", "check_normal_and_curvature"),
+    *("check_of_points", "check_of_surface", "finite_nodal", "positions_of"),
     *("same_species", "values_at"),
     *("root_of_form", "square_matrix", "unit_of"),
 }

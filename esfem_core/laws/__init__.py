@@ -3,7 +3,7 @@
 from esfem_core.laws.dynamic import Dynamic
 from esfem_core.laws.fixed import Fixed
 from esfem_core.laws.law import Law, Solve, check_law, check_no_slip, positions_of, same_species
-from esfem_core.laws.mean_curvature import MeanCurvature
+from esfem_core.laws.mean_curvature import MeanCurvature, check_normal_and_curvature
 from esfem_core.laws.prescribed import Prescribed
 from esfem_core.laws.regularised import Regularised
 from esfem_core.laws.slip import Elastic, with_slip
@@ -26,6 +26,7 @@ __all__ = [
     "check_initial",
     "check_law",
     "check_no_slip",
+    "check_normal_and_curvature",
     "check_of_points",
     "check_of_surface",
     "finite_nodal",

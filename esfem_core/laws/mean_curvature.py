@@ -42,7 +42,7 @@ from esfem_core.laws.law import Law, Solve
 from esfem_core.laws.species import Species
 from esfem_core.laws.values import Once, check_of_points, finite_nodal, values_at
 
-__all__ = ["MeanCurvature"]
+__all__ = ["MeanCurvature", "check_normal_and_curvature"]
 
 OFF = 0.5  # from length one: values that have evolved are not exact
 SHARE = 0.7  # of the curvature of the surface, at least: meshes of 24 nodes and more have 0.97
@@ -199,12 +199,44 @@ class MeanCurvature(ReadOnly, Law):
         return nodal_average(at, values_at("g", self.g(at), at, [()]))
 
 
+def check_normal_and_curvature(at: Surface, name: str) -> None:
+    """Refuse a normal and a curvature of a state as MeanCurvature refuses those that it is given.
+
+    Parameters
+    ----------
+    at : Surface
+        With the functions "normal" and "H".
+    name : str
+        What messages call the state.
+
+    Raises
+    ------
+    ValueError
+
+    Examples
+    --------
+    >>> import esfem_core as ec
+    >>> space = ec.SurfaceSpace(ec.sphere("octahedron", 2))
+    >>> at = Surface(space, space.nodes, {"normal": -space.nodes, "H": 0 * space.nodes[:, 0] + 2})
+    >>> check_normal_and_curvature(at, "start[-1]")
+    Traceback (most recent call last):
+        ...
+    ValueError: start[-1]['normal'] must point outwards and have length one, but at node 0, ...
+    """
+    called = f"{name}['H']"
+    H = finite_array(called, at.fields["H"], (len(at.x),))
+    normal = finite_array(f"{name}['normal']", at.fields["normal"], at.x.shape)
+    _check_outward(at, normal, f"{name}['normal']")
+    _check_sign(at, H, called)
+    _check_sum(at, normal, H, called)
+
+
 def _of_nodes(space: SurfaceSpace) -> tuple[Array, Array]:
     normal, H = normal_and_curvature(Surface(space, space.nodes))
     return frozen(normal), frozen(H)
 
 
-def _check_outward(at: Surface, normal: Array) -> None:
+def _check_outward(at: Surface, normal: Array, called: str = "normal") -> None:
     """Refuse what is far from the normal of the mesh: the surface would move another way."""
     length = np.linalg.norm(normal, axis=1)
     off = np.abs(length - 1) > OFF
@@ -212,22 +244,22 @@ def _check_outward(at: Surface, normal: Array) -> None:
     if bad.any():
         i = int(np.argmax(bad))
         raise ValueError(
-            "normal must point outwards and have length one, but at node "
+            f"{called} must point outwards and have length one, but at node "
             f"{i}, {at.x[i].tolist()}, it is {normal[i].tolist()}"
         )
 
 
-def _check_sign(at: Surface, H: Array) -> None:
+def _check_sign(at: Surface, H: Array, called: str = "curvature") -> None:
     """Refuse a curvature of the other sign: the integral of H x.nu is twice the area."""
     off = at.points - at.mean(at.points)
     if at.integral(at.space.evaluate(H) * (off * at.normal).sum(axis=-1)) < 0:
         raise ValueError(
-            "curvature must be the sum of the principal curvatures, positive for a sphere, but "
+            f"{called} must be the sum of the principal curvatures, positive for a sphere, but "
             "has the other sign"
         )
 
 
-def _check_sum(at: Surface, normal: Array, H: Array) -> None:
+def _check_sum(at: Surface, normal: Array, H: Array, called: str = "curvature") -> None:
     """Refuse the mean of the principal curvatures: the surface would move at half the speed.
 
     With D = div nu, H is about int H^2 / int H D times the curvature of the surface. Where it has
@@ -239,7 +271,7 @@ def _check_sum(at: Surface, normal: Array, H: Array) -> None:
     if product >= 0 and not square > SHARE * product:
         share = square / product if product else 0.0
         raise ValueError(
-            "curvature must be the sum of the principal curvatures, 2/r on a sphere, but is about "
+            f"{called} must be the sum of the principal curvatures, 2/r on a sphere, but is about "
             f"{share:.2g} times that of the surface; the sum is twice their mean"
         )
 

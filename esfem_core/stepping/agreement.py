@@ -9,7 +9,14 @@ import numpy as np
 
 from esfem_core.checks import Array, finite_array, level_outside, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
-from esfem_core.laws import Elastic, Prescribed, check_no_slip, positions_of
+from esfem_core.laws import (
+    Elastic,
+    MeanCurvature,
+    Prescribed,
+    check_no_slip,
+    check_normal_and_curvature,
+    positions_of,
+)
 from esfem_core.problems import Exact, Problem
 from esfem_core.stepping.guard import EvolutionWarning
 from esfem_core.stepping.state import Method, State
@@ -21,6 +28,7 @@ __all__ = [
     "check_exact_functions",
     "check_exact_surface",
     "check_motion_of_start",
+    "check_normal_of_start",
     "check_on_exact_surface",
     "check_precision",
     "check_slip",
@@ -135,6 +143,21 @@ def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) ->
             f"{last.x[node].tolist()}, while X(p, t) = {x[node].tolist()} at t = {last.t:g}"
             f"{NEW_TRIANGLES}"
         )
+
+
+def check_normal_of_start(space: SurfaceSpace, law: object, last: State) -> None:
+    """Refuse a state for mean curvature flow with a normal or curvature of another surface.
+
+    Those that a step has computed may be far off shortly before a singularity, where an
+    uninterrupted run goes on as well.
+
+    Raises
+    ------
+    ValueError
+    """
+    if last.method is None and isinstance(innermost(law), MeanCurvature):
+        with suppress(ArithmeticError):  # degenerate elements are left to the step
+            check_normal_and_curvature(Surface(space, last.x, last.fields, last.t), "start[-1]")
 
 
 def check_starts(

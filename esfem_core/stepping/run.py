@@ -42,6 +42,7 @@ from esfem_core.stepping.agreement import (
     check_exact,
     check_exact_functions,
     check_motion_of_start,
+    check_normal_of_start,
     check_precision,
     check_slip,
     check_start_of_motion,
@@ -272,6 +273,7 @@ def evolve(
     _check_law(space, problem, order)
     if isinstance(given, list):
         check_motion_of_start(space, problem, given[-1])
+        check_normal_of_start(space, problem.law, given[-1])
         check_step_of_start(space, given, (mass, order, step))
     systems = Systems(
         make_solver,

@@ -376,6 +376,64 @@ def test_a_step_may_be_a_number_of_any_library(step, tmp_path):
     assert list(run)[-1].t == 2.0
 
 
+WRONG = {
+    "inwards": (-1.0, 2.0, r"start\[-1\]\['normal'\] must point outwards"),
+    "of length 3": (3.0, 2.0, r"start\[-1\]\['normal'\] must .* have length one"),
+    "the mean": (1.0, 1.0, r"start\[-1\]\['H'\] must be the sum .* but is about 0\.5 times"),
+    "of the other sign": (1.0, -2.0, r"start\[-1\]\['H'\] must be .* but has the other sign"),
+    "components": (1.0, SPACE.nodes, r"start\[-1\]\['H'\] must have shape \(66,\), got \(66, 3"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("kind", ["alone", "volume", "slip"])
+def test_a_normal_and_a_curvature_of_another_surface_are_refused(kind, wrong):
+    """They ran in silence, though the law refuses such when a run begins."""
+    law = ec.laws.MeanCurvature()
+    if kind == "volume":
+        law = ec.laws.VolumePreserving(law)
+    if kind == "slip":
+        law = ec.laws.with_slip(law, "elastic")
+    length, H, message = WRONG[wrong]
+    x = SPACE.nodes
+    fields = {"normal": length * x, "H": np.zeros(len(x)) + H if np.ndim(H) == 0 else H}
+    problem = ec.Problem(law=law)
+    right = ec.State(0.0, x, space=SPACE, fields={"normal": x, "H": np.full(len(x), 2.0)})
+    state = ec.State(0.1, x, space=SPACE, fields=fields)
+    with pytest.raises(ValueError, match=message):
+        ec.evolve(SPACE, problem, 1, 0.01, 0.2, start=[state])
+    with pytest.raises(ValueError, match=message):
+        ec.started_anew(state, problem, 2, 0.01)
+    ec.evolve(SPACE, problem, 1, 0.01, 0.1, start=[right])
+
+
+def test_a_degenerate_state_is_left_to_the_step():
+    """It was looked at for its normal before, and ended in another error."""
+    x = SPACE.nodes.copy()
+    corners = SPACE.cells[0, :3]
+    x[SPACE.cells[0]] = x[corners[0]]
+    fields = {"normal": SPACE.nodes, "H": np.full(len(x), 2.0)}
+    state = ec.State(0.0, x, space=SPACE, fields=fields)
+    run = ec.evolve(SPACE, ec.Problem(law=ec.laws.MeanCurvature()), 1, 0.01, 0.1, start=[state])
+    with pytest.raises(ec.EvolutionError, match="is degenerate"):
+        list(run)
+
+
+def test_a_run_towards_a_singularity_goes_on_from_its_states():
+    """There the computed normal and curvature are far from those of the surface."""
+    problem = ec.Problem(law=ec.laws.MeanCurvature())
+    states = []
+    with pytest.raises(ec.EvolutionError):
+        states.extend(ec.evolve(SPACE, problem, 1, 0.002, 0.3, solver="direct"))
+    *_, before, last = states
+    with pytest.raises(ValueError, match="must be the sum of the principal curvatures"):
+        ec.evolve(SPACE, problem, 1, 0.002, 0.3, start=[dataclasses.replace(last)])
+    run = ec.evolve(SPACE, problem, 1, 0.002, 0.3, start=[before], solver="direct")
+    next(run)
+    same(next(run), last)
+    ec.evolve(SPACE, problem, 1, 0.002, 0.3, start=[last])
+
+
 def turned(x, which=slice(None)):
     """Point reflection, which leaves every normal as it is and turns the volume around."""
     x = x.copy()

@@ -635,7 +635,8 @@ def test_a_built_in_slip_whose_nodes_run_away_is_not_told_to_be_tangential():
     x = space.nodes * [1, 1, 1.3]
     skew = x + np.random.default_rng(0).normal(size=x.shape)
     fields = {"normal": skew, "H": np.ones(len(x))}
-    start = [ec.State(0.0, x, None, space=space, fields=fields)]
+    computed = {"fields": fields, "method": ("updated", 1, 0.01)}
+    start = [ec.State(0.0, x, None, space=space, **computed)]
     with pytest.warns(ec.EvolutionWarning, match="nodes run away") as warned:
         ec.evolve(space, ec.Problem(species={}, law=law), 1, 0.01, 0.1, start=start)
     assert not any("tangential" in str(one.message) for one in warned)
