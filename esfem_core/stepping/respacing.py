@@ -1,6 +1,6 @@
 """Runs that go on with another step or under another law: states to start from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -102,7 +102,8 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
         The last one before the change, or any other that knows its space.
     problem : Problem
         What holds from then on. Functions that its law makes, such as the normal and curvature of
-        mean curvature flow, are made where the state lacks them.
+        mean curvature flow, are all made where the state lacks one of them: another that it has
+        may be a species that is called alike.
     order : int
         Order p of the run that goes on.
     step : float
@@ -137,10 +138,11 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     check_state(space := known_space(state), state)
     law = object_of("problem", problem, Problem).law
     p, step = whole_number("order", order, 1, MOST_STEPS), number("step", step, above=0)
-    made: Mapping[str, Array] = {}
-    if hasattr(law, "initial") and not problem.law_species.keys() <= state.fields.keys():
+    fields, own = dict(state.fields), problem.law_species
+    if hasattr(law, "initial") and not own.keys() <= fields.keys():
         made = law.initial(state.surface())
-    states = [replace(state, fields={**made, **state.fields})]
+        fields |= {name: made[name] for name in own if name in made}
+    states = [replace(state, fields=fields)]
     for _ in range(p - 1):
         t, found = later(states[-1].t, step), []
         for m in range(1, p + 1):

@@ -104,6 +104,25 @@ def test_another_law_gets_the_functions_that_it_makes(p):
     np.testing.assert_allclose(last.u, other.u, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["H", "normal"])
+def test_a_species_is_not_taken_for_a_function_of_the_law(name):
+    """As "H" for hydrogen: the sphere shrank five times as fast as it should."""
+    rest = ec.laws.Prescribed(motion=lambda q, t: q)
+    there = {name: np.full(len(SPACE.nodes), 10.0)}
+    state = ec.State(0.1, SPACE.nodes, space=SPACE, fields=there)
+    if name == "H":
+        before = ec.Problem(species={"H": ec.Species(10.0)}, law=rest)
+        *_, state = ec.evolve(SPACE, before, 2, 0.01, 0.1)
+    flow = ec.Problem(law=ec.laws.MeanCurvature())
+    for ours, theirs in zip(
+        ec.started_anew(state, flow, 2, 0.005),
+        ec.started_anew(ec.State(0.1, SPACE.nodes, space=SPACE), flow, 2, 0.005),
+        strict=True,
+    ):
+        np.testing.assert_allclose(ours["H"], theirs["H"], rtol=1e-12)
+        np.testing.assert_allclose(ours["normal"], theirs["normal"], rtol=0, atol=1e-12)
+
+
 def test_the_dynamic_law_goes_on_with_the_velocity_of_the_state():
     """As the message says: nothing else makes it."""
     grows = ec.Problem(1.0, motion=lambda q, t: q * (1 + t))
