@@ -12,7 +12,7 @@ from esfem_core.problems import Problem
 from esfem_core.solvers import DirectSolver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.checkpoints import space_of
-from esfem_core.stepping.run import evolve
+from esfem_core.stepping.run import check_functions, evolve
 from esfem_core.stepping.state import Method, State, check_state, known_space
 from esfem_core.stepping.times import check_told_apart, later
 
@@ -113,7 +113,8 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     -------
     list of State
         At T, T + step, ..., T + (p - 1) step, for ``evolve(..., start=states)``, which yields all
-        of them again, the first one included; v is None in new ones.
+        of them again, the first one included; v is None in new ones. They have the functions of the
+        problem, others are left behind.
 
     Raises
     ------
@@ -142,7 +143,8 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     if hasattr(law, "initial") and not own.keys() <= fields.keys():
         made = law.initial(state.surface())
         fields |= {name: made[name] for name in own if name in made}
-    states = [replace(state, fields=fields)]
+    check_functions("state", problem, replace(state, fields=fields))
+    states = [replace(state, fields={name: fields[name] for name in problem.all_species})]
     for _ in range(p - 1):
         t, found = later(states[-1].t, step), []
         for m in range(1, p + 1):

@@ -65,7 +65,7 @@ from esfem_core.stepping.units import (
     factor_to_size_one,
 )
 
-__all__ = ["MASSES", "evolve"]
+__all__ = ["MASSES", "check_functions", "evolve"]
 
 SolverName = Literal["lagged", "cholmod", "direct"]
 StartName = Literal["exact", "euler"]
@@ -417,7 +417,7 @@ def _checked_start(
     states = states[-order:]
     for i, state in enumerate(states):
         check_state(space, state, f"start[{i - order}]")
-        _check_functions(f"start[{i - order}]", problem, state)
+        check_functions(f"start[{i - order}]", problem, state)
     for i, state in enumerate(states):
         for key in problem.all_species:
             if state[key].shape != (shape := states[-1][key].shape):
@@ -448,8 +448,20 @@ def _in_order(times: list[float]) -> str:
     return "states[::-1]" if turned else "sorted(states, key=lambda state: state.t)"
 
 
-def _check_functions(name: str, problem: Problem, state: State) -> None:
-    """Refuse a state that lacks a function of the problem, or has other components of it."""
+def check_functions(name: str, problem: Problem, state: State) -> None:
+    """Refuse a state that lacks a function of the problem, or has other components of it.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls the state.
+    problem : Problem
+    state : State
+
+    Raises
+    ------
+    ValueError
+    """
     for key, species in problem.all_species.items():
         if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
@@ -494,7 +506,7 @@ def _before(
     state = start[-len(given) - 1]
     try:
         check_state(space, state)
-        _check_functions("state", problem, state)
+        check_functions("state", problem, state)
         state = _of_problem(space, problem, state)
         space_of([state, *given])
     except ValueError:

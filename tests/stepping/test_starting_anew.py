@@ -104,6 +104,23 @@ def test_another_law_gets_the_functions_that_it_makes(p):
     np.testing.assert_allclose(last.u, other.u, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("p", [1, 2])
+def test_all_states_have_the_functions_of_the_problem(p, tmp_path):
+    """The first one kept others, so that no list of them could be saved or respaced."""
+    grows = ec.Problem(1.0, motion=lambda q, t: q * (1 + t))
+    *_, state = ec.evolve(SPACE, grows, 2, 0.05, T)
+    flow = ec.Problem(law=ec.laws.MeanCurvature())
+    start = ec.started_anew(state, flow, p, 0.01)
+    assert [list(s.fields) for s in start] == [["normal", "H"]] * p
+    ec.save(tmp_path / "run.npz", start)
+    assert len(ec.load(tmp_path / "run.npz")[1]) == p
+    ec.respaced(start, 0.005)
+    ec.remeshed(start, 0.6, flow)
+    ec.save_series(tmp_path / "run.pvd", start)
+    with pytest.raises(ValueError, match=r"^state must have the function 'w', it has 'u'"):
+        ec.started_anew(state, ec.Problem(species={"w": ec.Species(1.0)}), p, 0.01)
+
+
 @pytest.mark.parametrize("name", ["H", "normal"])
 def test_a_species_is_not_taken_for_a_function_of_the_law(name):
     """As "H" for hydrogen: the sphere shrank five times as fast as it should."""
@@ -128,7 +145,7 @@ def test_the_dynamic_law_goes_on_with_the_velocity_of_the_state():
     grows = ec.Problem(1.0, motion=lambda q, t: q * (1 + t))
     coasts = ec.Problem(law=ec.laws.Dynamic(alpha=0.1))
     *_, state = ec.evolve(SPACE, grows, 2, 0.05, T)
-    with pytest.raises(ValueError, match=r"'velocity', it has 'u'; .*'velocity': state\.v}\)"):
+    with pytest.raises(ValueError, match=r"^state .*'velocity', it .*'velocity': state\.v}\)"):
         ec.started_anew(state, coasts, 2, 0.05)
     state = state.with_functions({"velocity": state.v})
     start = ec.started_anew(state, coasts, 2, 0.05)
