@@ -493,7 +493,10 @@ def doors() -> list[Door]:
               "order": whole(2, 0, *HUGE, optional=True)}),
         Door("started_anew", ec.started_anew,
              {"state": one(last), "problem": one(problem), "order": whole(2, 0, *HUGE),
-              "step": number(0.1, 0, -1)}),
+              "step": number(0.1, 0, -1),
+              "solver": Argument("direct", "listed", [None, 1, "no", [], {}, lambda: None,
+                                                      lambda: object(), True]),
+              "growth": Argument(1e12, "listed", [0, 1, -1, NAN, None, "a", [], 1j, True, np.ones(2)])}),
         # errors and studies
         Door("seminorm", ec.errors.seminorm, {"matrix": one(M), "w": array(u, after=True)}),
         Door("compare", ec.errors.compare,

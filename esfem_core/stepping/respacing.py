@@ -1,6 +1,8 @@
 """Runs that go on with another step or under another law: states to start from."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -9,10 +11,11 @@ import numpy as np
 from esfem_core.checks import Array, items, number, object_of, whole_number
 from esfem_core.elements import SurfaceSpace
 from esfem_core.problems import Problem
-from esfem_core.solvers import DirectSolver, superlu
+from esfem_core.solvers import DirectSolver, Solver, superlu
 from esfem_core.stepping.bdf import MOST_STEPS, combine
 from esfem_core.stepping.checkpoints import space_of
-from esfem_core.stepping.run import check_functions, evolve
+from esfem_core.stepping.guard import EvolutionWarning
+from esfem_core.stepping.run import SolverName, check_functions, evolve
 from esfem_core.stepping.state import Method, State, check_state, known_space
 from esfem_core.stepping.times import check_told_apart, later
 
@@ -87,7 +90,15 @@ def respaced(states: Sequence[State], step: float, order: int | None = None) -> 
     return [_for_step(state, given[-1].method, p, step) for state in found]
 
 
-def started_anew(state: State, problem: Problem, order: int, step: float) -> list[State]:
+def started_anew(
+    state: State,
+    problem: Problem,
+    order: int,
+    step: float,
+    *,
+    solver: SolverName | Callable[[], Solver] = "lagged",
+    growth: float = 1e12,
+) -> list[State]:
     """States to go on with where a law, a force or a coefficient has just changed.
 
     A run of order p needs p states that obey the same law. Where that changes at a time T, those
@@ -108,6 +119,8 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
         Order p of the run that goes on.
     step : float
         Its step.
+    solver, growth
+        Of the Euler steps, see :func:`esfem_core.evolve`.
 
     Returns
     -------
@@ -120,6 +133,11 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     ------
     TypeError, ValueError, EvolutionError
         As :func:`esfem_core.evolve` does.
+
+    Warns
+    -----
+    EvolutionWarning
+        As :func:`esfem_core.evolve` does, but once, for the longest step.
 
     Examples
     --------
@@ -146,13 +164,29 @@ def started_anew(state: State, problem: Problem, order: int, step: float) -> lis
     check_functions("state", problem, replace(state, fields=fields))
     states = [replace(state, fields={name: fields[name] for name in problem.all_species})]
     for _ in range(p - 1):
-        t, found = later(states[-1].t, step), []
+        t = later(states[-1].t, step)
+        found: list[State] = []
         for m in range(1, p + 1):
-            *_, euler = evolve(space, problem, 1, step / m, t, start=states[-1:])
+            start = states[-1:]
+            with _silent(bool(found) or len(states) > 1):
+                run = evolve(
+                    space, problem, 1, step / m, t, start=start, solver=solver, growth=growth
+                )
+            with _silent(bool(found)):
+                *_, euler = run
             found.append(_at(1 / m, euler))
         # The error is a polynomial in the step but for O(tau^{p+1}): its value at step 0.
         states.append(_with_given(problem, replace(_at_time(space, found, 0.0, 1.0, p), t=t)))
     return states
+
+
+@contextmanager
+def _silent(silent: bool) -> Iterator[None]:
+    """Without the warnings of a run where another one, with a longer step, has given them."""
+    with warnings.catch_warnings():
+        if silent:
+            warnings.simplefilter("ignore", EvolutionWarning)
+        yield
 
 
 def _with_given(problem: Problem, state: State) -> State:

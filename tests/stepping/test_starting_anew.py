@@ -1,7 +1,10 @@
 """Where a law, a force or a coefficient changes, a run goes on at its order from one state."""
 
+import warnings
+
 import numpy as np
 import pytest
+import trimesh
 from coupled import SPACE, coupled, growth
 
 import esfem_core as ec
@@ -102,6 +105,41 @@ def test_another_law_gets_the_functions_that_it_makes(p):
     *_, other = ec.evolve(begins, shrinks, p, 1 / 20, 0.25)
     np.testing.assert_allclose(last.x, other.x, rtol=0, atol=1e-9)
     np.testing.assert_allclose(last.u, other.u, rtol=0, atol=1e-9)
+
+
+def test_the_advice_for_its_steps_can_be_followed():
+    """It told of another solver, and of a bound on growth, but took neither."""
+    rest = ec.laws.Prescribed(motion=lambda q, t: q)
+    big = ec.sphere("icosahedron", 2)
+    small = trimesh.Trimesh(1e-4 * big.vertices + [3, 0, 0], big.faces, process=False)
+    space = ec.SurfaceSpace(trimesh.util.concatenate([big, small]))
+    values = np.r_[1 + big.vertices[:, 0], np.ones(len(big.vertices))]
+    on_small = np.arange(len(values)) >= len(big.vertices)
+
+    def decay(at):
+        return np.where(at.points[..., 0] > 2.5, -at.u, 0.0)
+
+    problem = ec.Problem(species={"u": ec.Species(values, decay)}, law=rest)
+    state = ec.State(0.0, space.nodes, None, values, space=space)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        rough = ec.started_anew(state, problem, 3, 0.05)[-1]
+    assert len(found) == 1
+    assert str(found[0].message).endswith('Take solver="direct"')
+    assert found[0].filename == __file__
+    start = ec.started_anew(state, problem, 3, 0.05, solver="direct")
+    *_, whole = ec.evolve(space, problem, 3, 0.05, 0.1, start="euler", solver="direct")
+    np.testing.assert_allclose(start[-1].u[on_small], whole.u[on_small], rtol=1e-9)
+    assert abs(rough.u / whole.u - 1)[on_small].max() > 1e-6
+
+    zero = ec.State(0.0, SPACE.nodes, None, 1e-17 * SPACE.nodes[:, 0], space=SPACE)
+    after = ec.Problem(species={"u": ec.Species(0.0, lambda at: 1.0)}, law=rest)
+    with pytest.raises(ec.EvolutionError, match="growth=inf lets it go on"):
+        ec.started_anew(zero, after, 2, 0.05)
+    with pytest.warns(ec.EvolutionWarning, match="has grown to 0.05") as grown:
+        last = ec.started_anew(zero, after, 3, 0.05, growth=np.inf)[1]
+    assert len(grown) == 1
+    np.testing.assert_allclose(last.u, 0.05, rtol=1e-9)
 
 
 @pytest.mark.parametrize("p", [1, 2])
