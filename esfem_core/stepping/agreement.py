@@ -1,11 +1,12 @@
 """Whether motion, exact solution and slip belong to the surface that a run starts on."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import product
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from esfem_core.checks import Array, finite_array, level_outside, real_array
 from esfem_core.elements import Surface, SurfaceSpace, nodal_average
@@ -102,17 +103,21 @@ def innermost(law: object) -> object:
     return law
 
 
-def check_precision(law: object, first: State) -> None:
-    """Refuse a velocity field in single precision: no step is small enough for its integration.
+def check_precision(space: SurfaceSpace, law: object, first: State, step: float) -> None:
+    """Refuse a motion in single precision, and a velocity field: no step is small enough for that.
 
     Raises
     ------
     TypeError
-        Also if it returns no array of real numbers.
+        Also if a velocity field returns no array of real numbers.
     ValueError
         If that has another shape.
     """
-    if not isinstance(law, Prescribed) or law.field is None:
+    if not isinstance(law, Prescribed):
+        return
+    if law.field is None:
+        assert law.motion is not None
+        _check_double("motion(p, t)", law.motion, space.nodes, (first.t, first.x), step)
         return
     with np.errstate(all="ignore"):  # what is not finite is refused when it is integrated
         given = law.field(first.x.copy(), first.t)
@@ -123,6 +128,32 @@ def check_precision(law: object, first: State) -> None:
             f"velocity(x, t) must be in double precision, got {v.dtype}: as its flow is integrated "
             "to 1e-12, the rounding of single precision makes it a field that is not smooth"
         )
+
+
+def _check_double(
+    name: str,
+    motion: Callable[[Array, float], ArrayLike],
+    nodes: Array,
+    before: tuple[float, Array],
+    step: float,
+) -> None:
+    """Refuse positions in single precision, also if they have been converted since.
+
+    On the vertices of a file in single precision they may be right at the start, and only there.
+    Numbers that move are all rounded so within a step, at a share of it that is no round number,
+    if they are in single precision, and hardly else. What is not defined is refused elsewhere.
+    """
+    start, x = before
+    with np.errstate(all="ignore"), suppress(ArithmeticError, ValueError):
+        given = motion(nodes.copy(), start + LOOKED_AT[0] * step)
+        moved = finite_array(name, given, nodes.shape)
+        rounded = np.array_equal(moved, moved.astype(np.float32)) and not np.array_equal(moved, x)
+        if rounded or np.asarray(given).dtype in (np.float16, np.float32):
+            raise TypeError(
+                f"{name} must be in double precision, but has the rounding of single: velocities, "
+                "its differences over a step, would be off by 1e-7 of the positions over the step; "
+                "compute it in double"
+            )
 
 
 def check_motion_of_start(space: SurfaceSpace, problem: Problem, last: State) -> None:
@@ -257,11 +288,14 @@ def check_exact(space: SurfaceSpace, problem: Problem, t: float, end: float) -> 
 
     Raises
     ------
+    TypeError
+        If its positions are in single precision.
     ValueError
     """
-    check_exact_surface(space, problem)
     exact, nodes = problem.exact, space.nodes
     assert exact is not None
+    _check_double("exact.x(p, t)", exact.x, nodes, (0.0, nodes), t)
+    check_exact_surface(space, problem)
     if hasattr(problem.law, "position"):
         x = positions_of(problem.law, nodes, t, (0.0, nodes))
         wanted = finite_array("exact.x", exact.x(nodes.copy(), t), nodes.shape)

@@ -289,7 +289,7 @@ def evolve(
     if given == "exact":
         check_exact_functions(space, problem, first)
     check_starts(space, problem, given, order, step)
-    check_precision(problem.law, first)
+    check_precision(space, problem.law, first, step)
     check_slip(space, problem.law, first, order, step)
     check_units(space, problem, first, step)
     check_rates(problem, first, order, step, solver)

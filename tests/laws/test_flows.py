@@ -193,6 +193,69 @@ def test_single_precision_is_named_before_a_step():
             ec.evolve(on, growing, 1, 0.1, 0.1)
 
 
+@pytest.mark.parametrize("converted", [False, True])
+@pytest.mark.parametrize("step", [0.1, 1e-4])
+def test_single_precision_is_named_on_vertices_in_single_precision(step, converted):
+    """X(p, 0) is p there, and velocities were off by 8e-4 without a word."""
+    tri = ec.sphere("icosahedron", 1)
+    rounded = tri.vertices.astype("float32").astype(float)
+    space = ec.SurfaceSpace(trimesh.Trimesh(rounded, tri.faces, process=False))
+
+    def single(p, t):
+        x = ((1 + t) * p).astype("float32")
+        return x.astype(float) if converted else x
+
+    message = r"must be in double precision, but has the rounding of single: .*compute it in double"
+    grows = ec.Problem(1.0, motion=single)
+    with pytest.raises(TypeError, match=r"^motion\(p, t\) " + message):
+        ec.evolve(space, grows, 2, step, 10 * step)
+    # Nor from a state whose positions are double: within a step they are not.
+    double = ec.Problem(1.0, motion=lambda p, t: (1 + t) * p)
+    state = ec.State(0.5, 1.5 * space.nodes, None, np.ones(len(space.nodes)), space=space)
+    mixed = ec.Problem(1.0, motion=lambda p, t: (1 + t) * p if t == 0.5 else single(p, t))
+    ec.evolve(space, double, 1, step, 0.5 + step, start=[state])
+    with pytest.raises(TypeError, match=r"^motion\(p, t\) " + message):
+        ec.evolve(space, mixed, 1, step, 0.5 + step, start=[state])
+
+
+@pytest.mark.parametrize("away", [0, 100])
+@pytest.mark.parametrize("step", [0.1, 1e-4])
+def test_an_exact_solution_in_single_precision_is_named_as_such(step, away):
+    """Its velocity was called wrong, or its surface another one."""
+    tri = ec.sphere("octahedron", 1)
+    space = ec.SurfaceSpace(trimesh.Trimesh(tri.vertices + away, tri.faces, process=False))
+
+    def exact(kind):
+        return ec.Exact(
+            lambda p, t: (away + (1 + t) * (p - away)).astype(kind),
+            lambda p, t: p - away,
+            u=lambda x, t: 1 + 0 * x[:, 0],
+        )
+
+    law = ec.laws.Regularised()
+    with pytest.raises(TypeError, match=r"^exact\.x\(p, t\) must .*: .*compute it in double"):
+        ec.evolve(space, ec.Problem(1.0, law=law, exact=exact("float32")), 2, step, 10 * step)
+    ec.evolve(space, ec.Problem(1.0, law=law, exact=exact("float64")), 2, step, 10 * step)
+
+
+def test_round_numbers_that_rest_or_move_are_not_taken_for_single_precision():
+    tri = ec.sphere("octahedron", 1)
+    rounded = tri.vertices.astype("float32").astype(float)
+    corners = ec.sphere("octahedron", 0)
+    for space in (
+        ec.SurfaceSpace(trimesh.Trimesh(rounded, tri.faces, process=False)),
+        ec.SurfaceSpace(corners),
+    ):
+        for motion in (
+            lambda p, t: p,
+            lambda p, t: p + np.array([t, 0, 0]),
+            lambda p, t: p * 2**t,
+            lambda p, t: p + max(t - 0.4, 0),
+        ):
+            *_, last = ec.evolve(space, ec.Problem(1.0, motion=motion), 1, 0.25, 0.5)
+            ec.evolve(space, ec.Problem(1.0, motion=motion), 1, 0.25, 1.0, start=[last])
+
+
 def test_a_velocity_of_another_shape_is_refused_before_a_step():
     space = ec.SurfaceSpace(ec.sphere("octahedron", 1))
     for returned in ([[1.0, 2.0, 3.0], [1.0]], np.ones(3)):
