@@ -181,7 +181,8 @@ def evolve(
         in a run that goes on from its own states in pieces, each piece may grow so much, and only
         values beyond 1e100 are warned of.
     statistics : Statistics, optional
-        Collects what the linear solvers do, to be read while the run goes on.
+        Collects what the linear solvers do, to be read while the run goes on. Each run needs one
+        of its own.
     save : path, optional
         A file that ends with ".npz", for the last p + 1 states: written as soon as the starting
         values are known, then every so many steps, and at the end or when the run fails or is left;
@@ -261,6 +262,7 @@ def evolve(
         function("perturbation", perturbation, "perturbation(n) of the number of a step, or None")
     if statistics is not None:
         object_of("statistics", statistics, Statistics, "or None")
+        _check_unused(statistics)
     every = whole_number("every", every, 1)
     if threads is not None:
         threads = whole_number("threads", threads, 1, MOST_THREADS)
@@ -369,6 +371,15 @@ def _checked_order(order: int, allow_unstable: bool) -> int:
             stacklevel=level_outside(),
         )
     return order
+
+
+def _check_unused(statistics: Statistics) -> None:
+    """Refuse what has served another run: of kinds that this one does not solve, numbers stayed."""
+    if statistics.solves:
+        raise ValueError(
+            "statistics must be those of one run, but these have served another, with solves "
+            f"{statistics.solves}: esfem_core.Statistics() makes new ones"
+        )
 
 
 def _checked_growth(growth: float) -> float:

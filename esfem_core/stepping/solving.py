@@ -22,7 +22,7 @@ GUESS = 5  # values that a first guess is extrapolated from, if there are so man
 
 
 class Statistics:
-    """What the linear solvers of a run have done so far; handed to :func:`esfem_core.evolve`.
+    """What the linear solvers of one run have done so far; handed to :func:`esfem_core.evolve`.
 
     Attributes
     ----------

@@ -327,7 +327,7 @@ def time_study(
         ``fine[0].t``. What separates the runs at the end is then the temporal error alone, of
         order p; other starts would add errors of their own.
     **options
-        Passed to :func:`esfem_core.evolve`.
+        Passed to :func:`esfem_core.evolve`. `statistics` are in the end those of the last run.
 
     Returns
     -------
@@ -427,7 +427,7 @@ def space_study(
     measure : callable, optional
         As for :func:`time_study`.
     **options
-        Passed to :func:`esfem_core.evolve`.
+        Passed to :func:`esfem_core.evolve`. `statistics` are in the end those of the last run.
 
     Returns
     -------

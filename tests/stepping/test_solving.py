@@ -183,12 +183,27 @@ class TestStatistics:
         assert statistics.iterations == sum(s.iterations for s in solvers) > 20
         assert statistics.factorisations == sum(s.factorisations for s in solvers) >= 2
 
-    def test_a_second_run_starts_again(self):
+    def test_a_second_run_needs_its_own(self):
+        """It reset the kinds that it solved, and left the others: the start of the first run."""
         statistics = ec.Statistics()
-        for _ in range(2):
-            problem = ec.problems.growing_sphere()
-            list(ec.evolve(SPACE, problem, 1, 0.1, 0.5, statistics=statistics))
-        assert statistics.solves == {"law 1": 5, "u": 5}
+        options = {"problem": ec.problems.growing_sphere(), "order": 2, "step": 0.05}
+        states = list(ec.evolve(SPACE, end=0.5, start="euler", statistics=statistics, **options))
+        with pytest.raises(
+            ValueError, match=r"'start': 1}: esfem_core\.Statistics\(\) makes new ones"
+        ):
+            ec.evolve(SPACE, end=0.6, start=states, statistics=statistics, **options)
+        statistics = ec.Statistics()
+        list(ec.evolve(SPACE, end=0.6, start=states, statistics=statistics, **options))
+        assert statistics.solves == {"law 1": 2, "u": 2}
+
+    def test_those_of_a_study_are_those_of_its_last_run(self):
+        statistics, alone = ec.Statistics(), ec.Statistics()
+        options = {"problem": ec.problems.growing_sphere(), "order": 2, "end": 0.5}
+        options["start"] = "euler"
+        ec.study.time_study(SPACE, steps=[0.05, 0.025], statistics=statistics, **options)
+        list(ec.evolve(SPACE, step=0.025, statistics=alone, **options))
+        assert statistics.solves == alone.solves == {"law 1": 22, "u": 22, "start": 1}
+        assert statistics.iterations == alone.iterations
 
 
 def test_right_hand_sides_are_stacked_and_taken_apart():
