@@ -84,8 +84,12 @@ class Species(ReadOnly):
     flux are those of the extrapolated surface and functions; u itself is implicit, so that a large
     rate needs no small step, while a source -k u is stable for k tau < 2, 4/3, 20/21, 32/45,
     256/465 (p = 1, ..., 5) only. A flux c grad u is explicit, too: a method is stable for every
-    step if abs(c) < D/(2^p - 1), and is not if c < -D/(2^p - 1). So is transport, a flux u a or a
-    slip w = -a of the nodes: it is stable on every mesh for tau abs(a)^2 < 2 D, 1.22 D, 0.46 D,
+    step if abs(c) < D/(2^p - 1), and is not if c < -D/(2^p - 1). So is cross-diffusion, fluxes
+    -D12 grad b of a species a and -D21 grad a of b: stable for every step if
+    abs(D12 D21) < D11 D22/(2^p - 1)^2, while beyond, if D12 D21 > 0, only steps below a multiple of
+    h^2/D are. A constant matrix D = T diag(d) T^-1 with d >= 0 needs no such flux: T^-1 (a, b) is
+    one species of two components with ``diffusivity=d``. Explicit, too, is transport, a flux u a or
+    a slip w = -a of the nodes: it is stable on every mesh for tau abs(a)^2 < 2 D, 1.22 D, 0.46 D,
     0.15 D, 0.046 D (p = 1, ..., 5). Where D is smaller take p = 3 or 4, which are stable for
     tau omega < 0.63, 0.54 as well, with a frequency omega of about 2.4, 6.5, 11 times abs(a)/h for
     k = 1, 2, 3; p = 1, 2 and 5 have no such range. A velocity that the nodes follow,

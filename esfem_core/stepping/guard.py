@@ -17,6 +17,7 @@ NARROW_TURN = 0.5  # cosine: a narrow triangle turns by 60 degrees within a step
 SHAPE = 2 * np.sqrt(3)  # makes the shape of an equilateral triangle 1
 GROWTH = 1e6  # of the largest value since the start: from here on worth a warning
 HUGE = 1e100  # no quantity: from here on worth a warning, wherever a run has started
+FLUX = "a gradient in a flux may need steps below a multiple of h^2, see esfem_core.Species"
 
 
 class EvolutionWarning(UserWarning):
@@ -219,8 +220,8 @@ class Guard:
                 self._warn_once(
                     f"size of {name}",
                     f"{name} has grown to {largest:.3g}, which measures nothing: the step is too "
-                    "large for what is explicit, or the solution blows up; a run that goes on from "
-                    "states begins anew to compare values with those at its start",
+                    f"large for what is explicit, or the solution blows up; {FLUX}; a run that "
+                    "goes on from states begins anew to compare values with those at its start",
                 )
             start = self._largest[name]
             if start == 0 or largest <= min(GROWTH, self._growth) * start:
@@ -236,9 +237,9 @@ class Guard:
                     f"{text}, or the surface shrinks to a point, which makes grow what is "
                     f"conserved: it is {np.ptp(x, axis=0).max():.2g} across (allowed: growth = "
                     f"{self._growth:g} times; growth=inf lets it go on, such as from values that "
-                    "are zero but for rounding)"
+                    f"are zero but for rounding); {FLUX}"
                 )
-            self._warn_once(name, text)
+            self._warn_once(name, f"{text}; {FLUX}")
 
     def _triangles(self, x: Array) -> tuple[Array, Array, Array]:
         """Normals of twice the area, (3, T), volumes of components, sums of squared sides, (T,)."""

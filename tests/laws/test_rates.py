@@ -1,8 +1,8 @@
 """A rate is taken implicitly: stable for every step, of the order of the scheme.
 
 The same as an explicit source has a largest step, derived here from the characteristic polynomial
-delta(z) + k tau z gamma(z), whose root reaches the unit circle at z = -1. Transport
-is explicit, too, and its limits are those of roots of the same kind.
+delta(z) + k tau z gamma(z), whose root reaches the unit circle at z = -1. Transport and
+cross-diffusion are explicit, too, and their limits are those of roots of the same kind.
 """
 
 import numpy as np
@@ -61,6 +61,72 @@ def growth(p, y, z=0.0):
     coefficients[0] += z
     coefficients[1:] -= 1j * y * ec.bdf.gamma(p)
     return abs(np.roots(coefficients)).max()
+
+
+def growth_across(p, z, d, product):
+    """Of two species in a step, z = tau q^2, with D = (1, d) implicit and D12 D21 explicit."""
+    delta, gamma = ec.bdf.delta(p), np.append(0, ec.bdf.gamma(p))
+    one, other = (np.append(delta[0] + z * own, delta[1:]) for own in (1, d))
+    return abs(np.roots(np.convolve(one, other) - product * z**2 * np.convolve(gamma, gamma))).max()
+
+
+@pytest.mark.parametrize("d", [1.0, 0.05, 20.0])
+@pytest.mark.parametrize("p", ORDERS)
+def test_cross_diffusion_is_stable_for_every_step_up_to_the_documented_limit(p, d):
+    """For infinite z, 1 + mu (1 - (1 - zeta)^p) is zero at zeta = -1 if mu = 1/(2^p - 1)."""
+    limit, waves = d / (2**p - 1) ** 2, np.geomspace(1e-3, 1e6, 200)
+    for sign in (1, -1):
+        assert max(growth_across(p, z, d, 0.98 * sign * limit) for z in waves) < 1
+    assert max(growth_across(p, z, d, 1.02 * limit) for z in waves) > 1 + 1e-3
+
+
+@pytest.mark.parametrize("p", [2, 3, 4])
+def test_cross_diffusion_beyond_its_limit_is_stable_for_steps_below_a_multiple_of_h_squared(p):
+    """Twice as strong, of equal diffusivities, for which z is the sum of 2^j/j."""
+    limit = sum(2**j / j for j in range(1, p + 1))
+    product = 4 / (2**p - 1) ** 2
+    assert max(growth_across(p, z, 1, product) for z in np.geomspace(1e-3, limit, 100)) <= 1 + 1e-12
+    assert growth_across(p, 1.02 * limit, 1, product) > 1 + 1e-4
+
+
+def crossing(c):
+    """Species a and b with the matrix D of 1 and c, c explicit."""
+    return {
+        name: ec.Species(start, source=lambda at, other=other: (None, -c * at.grad(other)))
+        for name, other, start in (("a", "b", lambda x: 2 + x[:, 2]), ("b", "a", 1.0))
+    }
+
+
+@pytest.mark.parametrize("step", [1.0, 4.0])
+def test_cross_diffusion_blows_up_beyond_its_limit_and_not_below(step):
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 1))
+    for share in (0.97, 1.3):
+        problem = ec.Problem(species=crossing(share / 7), law=AT_REST)
+        run = ec.evolve(space, problem, 3, step, 600 * step)
+        if share > 1:
+            with (
+                pytest.warns(ec.EvolutionWarning, match=r"a gradient in a flux .* h\^2"),
+                pytest.raises(ec.EvolutionError, match=r"has grown to .* a gradient in a flux"),
+            ):
+                list(run)
+        else:
+            *_, last = run
+            assert max(np.ptp(last[name]) for name in "ab") < 1e-6
+
+
+def test_the_components_of_a_constant_cross_diffusion_have_no_limit():
+    """As the docstring of Species has it, with an eigenfunction of eigenvalue 2 to compare with."""
+    d, T = np.linalg.eigh([[1.0, 0.9], [0.9, 1.0]])
+    back = np.linalg.inv(T)
+    space = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    z = space.nodes[:, 2]
+    w = ec.Species(lambda x: np.c_[2 + x[:, 2], 1 + 0 * x[:, 2]] @ back.T, diffusivity=d)
+    problem = ec.Problem(species={"w": w}, law=AT_REST)
+    *_, last = ec.evolve(space, problem, 3, 1 / 40, 1.0)
+    a, b = (last["w"] @ T.T).T
+    fast, slow = np.exp(-2 * 1.9), np.exp(-2 * 0.1)
+    np.testing.assert_allclose(a, 2 + (fast + slow) / 2 * z, rtol=0, atol=3e-4)
+    np.testing.assert_allclose(b, 1 + (fast - slow) / 2 * z, rtol=0, atol=3e-4)
 
 
 @pytest.mark.parametrize(("p", "limit"), [(1, 2), (2, 1.22), (3, 0.46), (4, 0.15), (5, 0.046)])
