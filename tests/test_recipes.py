@@ -53,13 +53,15 @@ def test_a_source_that_senses_the_curvature():
 def test_a_film_of_nodal_positions_and_a_table_of_radii_are_motions():
     times = np.linspace(0, 1, 11)
     radii = 2 + 0.6 * np.sin(times)
-    X = CubicSpline(times, [SPACE.nodes * r / 2 for r in radii])
+    X = CubicSpline(times, [SPACE.nodes * r / 2 for r in radii], extrapolate=False)
     R = CubicSpline(times, radii / radii[0])
     film = final(ec.Problem(1.0, motion=lambda p, t: X(t)))
     table = final(ec.Problem(1.0, motion=lambda p, t: R(t) * p))
     for last in (film, table):
         np.testing.assert_allclose(last.x, SPACE.nodes * radii[-1] / 2, rtol=0, atol=1e-12)
     np.testing.assert_allclose(film.u, table.u, rtol=1e-9)
+    with pytest.raises(ec.EvolutionError, match=r"motion\(p, t\) is not finite .* at t = 1\."):
+        final(ec.Problem(1.0, motion=lambda p, t: X(t)), 1.5)
 
 
 def test_fibres_move_with_the_matter():
