@@ -187,7 +187,9 @@ def evolve(
         A file that ends with ".npz", for the last p + 1 states: written as soon as the starting
         values are known, then every so many steps, and at the end or when the run fails or is left;
         see :func:`esfem_core.save`. ``space, states = esfem_core.load(path)`` and ``start=states``
-        go on from there.
+        go on from there. A run is left when nothing refers to it: loop over the call itself, or
+        call ``run.close()``. After an interrupt go on from the file, not from ``run``: if that came
+        in a step, it is over, and a second loop over it does nothing.
     every : int
         Steps from save to save; only with `save`.
     threads : int, optional
