@@ -426,7 +426,10 @@ def _checked_start(
         )
     states = items("start", start, State, least=0)
     if len(states) < order:
-        raise ValueError(f"start must hold p = {order} states or more, got {len(states)}")
+        raise ValueError(
+            f"start must hold p = {order} states or more, got {len(states)}; "
+            "esfem_core.started_anew(state, problem, order, step) makes them of one"
+        )
     states = states[-order:]
     for i, state in enumerate(states):
         check_state(space, state, f"start[{i - order}]")
