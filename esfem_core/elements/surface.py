@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from esfem_core.checks import Array, check_string, frozen, mapping, number, object_of, real_array
+from esfem_core.checks import Array, frozen, mapping, number, object_of, real_array, shown
 from esfem_core.elements.integrals import Metric
 from esfem_core.elements.scatter import combination
 from esfem_core.elements.space import SurfaceSpace
@@ -312,7 +312,7 @@ class Surface:
         return self.space.sum_loads(entries, tuple(trailing))
 
     def _function(self, kind: str, name: str) -> Array:
-        check_string("name", name)
+        _check_name(name)
         if name not in self.fields:
             known = ", ".join(map(repr, self.fields)) or "none"
             raise KeyError(
@@ -383,6 +383,16 @@ def _weight(
         check_tensors(name, tensor)
         return tensor.transpose(2, 3, 1, 0)
     return real_array(name, values, points).T
+
+
+def _check_name(name: object) -> None:
+    """Refuse what is no name of a function, such as what takes coordinates of points."""
+    if not isinstance(name, str):
+        raise TypeError(
+            f"name must be a string, got {shown(name)}: a Surface is no array of points; "
+            "at.points[..., 0] has the first coordinates of the quadrature points, (T, Q), "
+            'at["u"] the values of u there, and at.x are the nodes, (N, 3)'
+        )
 
 
 def check_is_surface(at: Surface) -> None:

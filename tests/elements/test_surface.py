@@ -374,6 +374,20 @@ def test_functions_that_are_not_there_are_named():
     assert two.used == set()
 
 
+@pytest.mark.parametrize("ask", [lambda x: 1 + x[:, 0], lambda x: x[0], lambda x: x.grad(0)])
+def test_who_takes_a_surface_for_points_is_told_where_the_points_are(ask):
+    space = ec.SurfaceSpace(ec.sphere("octahedron", 0))
+    message = r"name must be a string, got .*no array of points; at\.points\[\.\.\., 0\] has"
+    with pytest.raises(TypeError, match=message):
+        ask(ec.Surface(space, space.nodes))
+    problem = ec.Problem(1.0, g=lambda x: 1 + x[:, 0])
+    with pytest.raises(TypeError, match=message):
+        list(ec.evolve(space, problem, 1, 0.1, 0.1))
+    as_told = ec.Problem(1.0, g=lambda at: 1 + at.points[..., 0])
+    *_, last = ec.evolve(space, as_told, 1, 0.1, 0.1)
+    assert last.t == 0.1
+
+
 FLAT = ec.SurfaceSpace(ec.sphere("octahedron", 1), 2)  # (T, Q) = (32, 6), N = 66
 
 
