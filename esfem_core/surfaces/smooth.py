@@ -18,6 +18,9 @@ surface, and hence their mean within O(h^6) of it.
 An edge whose two triangles differ by more than a given angle is a crease. It cuts the triangles
 around its ends into fans. Each fan has a graph of its own, and no fit looks across. From both sides
 the crease goes to the curve where the two smooth surfaces meet, and its triangles go with it.
+
+The rim of an open surface, the sides of one triangle each, goes to cubic curves through its
+vertices, and from there to S; its triangles go with it.
 """
 
 import numpy as np
@@ -27,7 +30,7 @@ from esfem_core.checks import Array, Ints, ReadOnly, finite_array, number, read_
 from esfem_core.surfaces.check import boundary_advice, check_triangulation
 from esfem_core.surfaces.foot_points import FootPoints
 from esfem_core.surfaces.graphs import Graphs, fit_graphs
-from esfem_core.surfaces.orientation import fans, sides_of
+from esfem_core.surfaces.orientation import Sides, fans, sides_of
 from esfem_core.surfaces.quality import angles_of
 
 __all__ = ["SmoothSurface", "smooth"]
@@ -36,7 +39,8 @@ ON_EDGE = 1e-10  # barycentric coordinates below are zero: from both sides the s
 TURNS = 4  # of Newton's method for the curve at a crease
 
 # Where triangles do not resolve a surface, a fit must not tear it. None of these limits is active
-# once the surface is resolved.
+# once the surface is resolved by triangles of bounded shape. Flat sides of bodies may have others,
+# whose altitudes are of second order at a round edge: there a third of its arc's height is cut off.
 DOUBTED, USELESS = 45.0, 75.0  # degrees between a graph and its triangles: weight 1, weight 0
 TILTED = 0.5  # smallest cosine between a quarter of an element and its triangle
 HALVINGS = 8  # of the weights of graphs, and of the room of arcs, where it is smaller
@@ -46,7 +50,7 @@ FAR = 1e100  # beyond, products of coordinates are not finite
 PARALLEL = 0.1  # squared difference of unit normals of two sides that hardly cross
 
 
-def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
+def smooth(tri: trimesh.Trimesh, crease: float = 50.0, boundary: bool = False) -> "SmoothSurface":
     """Make the map that takes points near a triangulation to a smooth surface through its vertices.
 
     For surfaces that are known by their triangles only, as those of most files. On a smooth
@@ -58,13 +62,14 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
     Parameters
     ----------
     tri : trimesh.Trimesh
-        Closed, oriented outwards. Its vertices are kept: if they are noisy, so is the surface. For
-        a mesh with holes close them first, ``ec.repair(tri, holes=n)`` up to n edges: the result is
-        a `project` for the open mesh as well.
+        Closed, oriented outwards. Its vertices are kept: if they are noisy, so is the surface.
     crease : float
         In degrees, 0 to 180. Edges at which normals of triangles differ by more stay sharp, and
         no fit uses points beyond them. A body with flat sides remains what it is. 180 rounds all
-        edges.
+        edges. Likewise a rim has a corner where it turns by more.
+    boundary : bool
+        Whether `tri` may have a boundary, for a space with ``boundary=True``. A smooth one becomes
+        a curve at a distance of order 4 as well.
 
     Returns
     -------
@@ -74,8 +79,8 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
     Raises
     ------
     TypeError, ValueError
-        If `tri` is unfit, see :func:`esfem_core.check_triangulation`, or `crease` is no number
-        from 0 to 180.
+        If `tri` is unfit, see :func:`esfem_core.check_triangulation`, `crease` is no number from 0
+        to 180, or `boundary` is neither True nor False.
 
     Examples
     --------
@@ -91,21 +96,21 @@ def smooth(tri: trimesh.Trimesh, crease: float = 50.0) -> "SmoothSurface":
     0.9987
     1.0000
     """
-    _check_closed(tri)
+    _check_fit(tri, boundary)
     crease = number("crease", crease, least=0, most=180)
     return SmoothSurface(np.array(tri.vertices, float), np.array(tri.faces, np.int64), crease)
 
 
-def _check_closed(tri: trimesh.Trimesh) -> None:
+def _check_fit(tri: trimesh.Trimesh, boundary: bool) -> None:
     """Refuse an unfit mesh; of one with holes say how it has a smooth surface, too."""
     try:
-        check_triangulation(tri)
+        check_triangulation(tri, boundary)
     except ValueError as error:
-        if not boundary_advice(np.array(tri.vertices), np.array(tri.faces)):
+        if boundary or not boundary_advice(np.array(tri.vertices), np.array(tri.faces)):
             raise
         raise ValueError(
-            f"{error}, and with project = ec.smooth(closed), of the mesh with its holes closed, "
-            "ec.SurfaceSpace(tri, 2, project, boundary=True) puts nodes on that smooth surface"
+            f"{error}, and with project = ec.smooth(tri, boundary=True) "
+            "ec.SurfaceSpace(tri, 2, project, boundary=True) puts nodes on a smooth surface"
         ) from None
 
 
@@ -139,13 +144,15 @@ class SmoothSurface(ReadOnly):
     def __init__(self, vertices: Array, faces: Ints, crease: float) -> None:
         self.vertices, self.faces = vertices, faces
         flat = _Flat(vertices[faces])
-        pairs = sides_of(faces).pairs()
+        sides = sides_of(faces)
+        pairs = sides.pairs()
         sharp = flat.turns(pairs) > np.radians(crease)
 
         # Side 3t + n of triangle t runs from its corner n to the next.
         self._across = np.full(faces.size, -1)
         self._across[pairs[sharp].ravel()] = pairs[sharp][:, ::-1].ravel()
         self._room = flat.room(pairs)
+        self._rim = _Rim(vertices, sides, crease)
         start, end = _corners(pairs[sharp, 0])
         self.creases = np.sort(np.stack([faces.flat[start], faces.flat[end]], axis=1), axis=1)
 
@@ -249,7 +256,8 @@ class SmoothSurface(ReadOnly):
         A crease's chord goes to its curve. The triangle goes along, by the square of the share
         that the ends of the edge have in b: 1 on this edge, 0 at the corner opposite; on the
         other two edges the crease's own end stays, and so do they. There S differs from the curve
-        by O(h^4), or more if a limit is active; the rest takes that away, by the same share.
+        by O(h^4), or more if a limit is active; the rest takes that away, by the same share. The
+        rim goes to its own curve in the same way, and from there to S.
         """
         near = np.einsum("nc,nci->ni", b, self._foot.corners[triangle])
         rest = np.zeros_like(near)
@@ -262,6 +270,10 @@ class SmoothSurface(ReadOnly):
             chord, curve = self._curve(side[rows], ends)
             near[rows] += square * (curve - chord)
             rest[rows] -= square * self._step(self._fan[triangle[rows]][:, [i, j]], ends, curve)
+            rows = np.flatnonzero((self._rim.number[side] >= 0) & (share > 0))
+            ends = b[rows][:, [i, j]] / share[rows, None]
+            off = self._in_its_room(side[rows], ends, self._rim.off(side[rows], ends[:, 1]))
+            near[rows] += share[rows, None] ** 2 * off
         return near, rest
 
     def _curve(self, side: Ints, b: Array) -> tuple[Array, Array]:
@@ -287,9 +299,50 @@ class SmoothSurface(ReadOnly):
             for height, direction in ((p + q, one + other), (p - q, one - other)):
                 square = np.maximum((direction * direction).sum(axis=1), PARALLEL)
                 off += (height / square)[:, None] * direction
+        return chord, chord + self._in_its_room(side, b, off)
+
+    def _in_its_room(self, side: Ints, b: Array, off: Array) -> Array:
+        """Steps off chords from points with shares b, (m, 2), shorter where sides lack the room."""
         far = np.linalg.norm(off, axis=1)
         allowed = 4 * b.prod(axis=1) * self._room[side]  # the whole room in the middle
-        return chord, chord + np.minimum(1, allowed / np.maximum(far, 1e-300))[:, None] * off
+        return np.asarray(np.minimum(1, allowed / np.maximum(far, 1e-300))[:, None] * off)
+
+
+class _Rim(ReadOnly):
+    """Cubic curves through the two ends of a side of the rim and the vertices before and after.
+
+    Through p, a, b runs the parabola that is t (1 - t) |ab|^2 [p, a, b] off the chord ab, with the
+    divided difference [p, a, b] of second order; the mean of that and the one through a, b, q, with
+    weights that are linear along the rim, 1 and 0 at p, is the cubic curve through all four
+    (Neville). At a corner there is the other parabola alone, or the chord.
+    """
+
+    def __init__(self, vertices: Array, sides: Sides, crease: float) -> None:
+        rim = np.flatnonzero(sides.times == 1)
+        self.number = np.full(len(sides.times), -1)
+        self.number[rim] = np.arange(len(rim))
+        start, end = sides.start[rim], sides.end[rim]
+        starting, ending = np.zeros((2, len(vertices)), dtype=np.int64)
+        starting[start] = ending[end] = np.arange(len(rim))
+        before, after = ending[start], starting[end]
+
+        chord = vertices[end] - vertices[start]
+        length = np.linalg.norm(chord, axis=1)
+        turn = _unit(chord) - _unit(chord)[before]
+        bend = turn / (length + length[before])[:, None]
+        corner = np.linalg.norm(turn, axis=1) > 2 * np.sin(np.radians(crease) / 2)
+        bends, corners = np.stack([bend, bend[after]]), np.stack([corner, corner[after]])[..., None]
+        self.bends = np.where(corners, np.where(corners[::-1], 0, bends[::-1]), bends)
+        self.lengths = np.stack([length[before], length, length[after]])
+        read_only(vars(self))
+
+    def off(self, side: Ints, t: Array) -> Array:
+        """From points of the chords, at shares t, (m,), of their lengths, to the curves, (m, 3)."""
+        number = self.number[side]
+        before, length, after = self.lengths[:, number]
+        weight = ((before + t * length) / (before + length + after))[:, None]
+        bend = (1 - weight) * self.bends[0, number] + weight * self.bends[1, number]
+        return np.asarray(-(t * (1 - t) * length**2)[:, None] * bend)
 
 
 class _Flat:

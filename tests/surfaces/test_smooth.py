@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.interpolate import BarycentricInterpolator
 
 import esfem_core as ec
 from esfem_core.companion import bunny
@@ -336,20 +337,82 @@ def test_what_is_refused(arguments, error, message):
         ec.smooth(*arguments)
 
 
-def test_a_mesh_with_a_hole_has_the_smooth_surface_of_the_closed_one():
-    tri = ec.sphere("icosahedron", 2)
-    tri.update_faces(tri.triangles_center[:, 2] < 0.6)
+def part(tri, kept):
+    """The triangles whose centres (x, y, z) are to be kept, by a condition of these."""
+    tri = tri.copy()
+    tri.update_faces(kept(*tri.triangles_center.T))
     tri.remove_unreferenced_vertices()
-    with pytest.raises(
-        ValueError, match=r"holes=24.*project = ec\.smooth\(closed\).*boundary=True"
-    ):
+    return tri
+
+
+def test_a_mesh_with_a_hole_has_a_smooth_surface_as_it_is_told():
+    tri = part(ec.sphere("icosahedron", 2), lambda x, y, z: z < 0.6)
+    with pytest.raises(ValueError, match=r"project = ec\.smooth\(tri, boundary=True\) ec\.Surf"):
         ec.smooth(tri)
-    project = ec.smooth(ec.repair(tri, holes=24, report=None))
+    project = ec.smooth(tri, boundary=True)
     space = ec.SurfaceSpace(tri, 2, project, boundary=True)
     assert len(space.boundary_nodes) == 48
-    assert_allclose(np.linalg.norm(space.nodes, axis=1), 1, atol=5e-3)
+    assert_allclose(np.linalg.norm(space.nodes, axis=1), 1, atol=2e-3)
     flat = ec.SurfaceSpace(tri, 2, boundary=True).nodes
     assert abs(np.linalg.norm(flat, axis=1) - 1).max() > 0.01
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_a_rim_has_order_four(degree):
+    """Of half a sphere: to the sphere, and in it to the circle that the rim has its vertices on."""
+    found = []
+    for refinements in (3, 4):
+        tri = part(ec.sphere("octahedron", refinements), lambda x, y, z: z > 0)
+        project = ec.smooth(tri, boundary=True)
+        space = ec.SurfaceSpace(tri, degree, project, boundary=True)
+        off, rim = np.abs(np.linalg.norm(space.nodes, axis=1) - 1), space.boundary_nodes
+        found.append([off.max(), off[rim].max(), np.abs(space.nodes[rim, 2]).max()])
+    orders = np.log2(np.divide(*found))
+    assert (orders > 3.5).all(), orders
+    assert found[0][1] < 3e-4
+
+
+def test_the_rim_of_a_flat_sheet_becomes_round():
+    """No lid could say so: in its plane the vertices of the rim alone know the circle."""
+    found = []
+    for n in (6, 12):
+        tri = part(lens(n), lambda x, y, z: z > 0)
+        radius = np.hypot(*tri.vertices.T[:2])
+        tri.vertices[:] = tri.vertices * [1, 1, 0] / radius.max()
+        space = ec.SurfaceSpace(tri, 2, ec.smooth(tri, boundary=True), boundary=True)
+        assert not space.nodes[:, 2].any()
+        found.append(abs(np.hypot(*space.nodes[space.boundary_nodes, :2].T) - 1).max())
+    assert np.log2(found[0] / found[1]) > 3.5
+
+
+def test_corners_of_a_rim_and_its_straight_parts_stay():
+    box = trimesh.creation.box().subdivide().subdivide()
+    tri = part(box, lambda x, y, z: z < 0.49)
+    surface = ec.smooth(tri, boundary=True)
+    flat = ec.SurfaceSpace(tri, 3, boundary=True)
+    assert len(flat.boundary_nodes) == 48
+    assert_allclose(surface(flat.nodes), flat.nodes, rtol=0, atol=1e-14)
+    assert surface._rim.bends.shape == (2, 16, 3)
+    assert not surface._rim.bends.any()
+
+
+def test_a_rim_is_the_cubic_curve_through_four_vertices_or_fewer_at_a_corner():
+    """By lengths of chords; a fan around its last vertex, where it has corners, as at both ends."""
+    x = np.array([0.0, 0.5, 1.2, 2.0, 2.5])
+    vertices = np.column_stack([[*x, 1.25], [*np.sin(x / 2), -3.0], [*(x**2 / 20), 0.0]])
+    faces = np.column_stack([np.arange(4), np.full(4, 5), np.arange(4) + 1])
+    rim = ec.smooth(trimesh.Trimesh(vertices, faces, process=False), boundary=True)._rim
+    length = np.linalg.norm(np.diff(vertices[:5], axis=0), axis=1)
+    s = np.append(0, np.cumsum(length))
+    t = np.linspace(0, 1, 5)
+    for i in range(4):
+        side = np.full(len(t), 3 * i + 2)  # from vertex i + 1 to vertex i
+        known = slice(max(i - 1, 0), i + 3 if i < 3 else 5)
+        curve = BarycentricInterpolator(s[known], vertices[known])(s[i + 1] - t * length[i])
+        chord = vertices[i + 1] + t[:, None] * (vertices[i] - vertices[i + 1])
+        assert_allclose(rim.off(side, t), curve - chord, rtol=0, atol=1e-14)
+    assert not rim.off(np.array([0]), np.array([0.5])).any()  # between two corners
+    assert rim.number[1] == -1
 
 
 def test_points_must_be_finite_and_of_three_coordinates():
