@@ -482,7 +482,11 @@ def check_functions(name: str, problem: Problem, state: State) -> None:
         if key not in state.fields:
             known = ", ".join(map(repr, state.fields)) or "none"
             values = "state.v" if key == "velocity" and state.v is not None else "values"
-            advice = f"state.with_functions({{{key!r}: {values}}}) has it"
+            # Past values that do not come from the equations cost the method its order.
+            advice = (
+                f"state.with_functions({{{key!r}: {values}}}) has it, and for order 2 or more "
+                "esfem_core.started_anew(that, problem, order, step) makes the others of it"
+            )
             if key in problem.law_species and species.initial is None:
                 advice = "esfem_core.started_anew(state, problem, order, step) makes it"
             raise ValueError(f"{name} must have the function {key!r}, it has {known}; {advice}")
