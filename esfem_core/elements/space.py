@@ -36,6 +36,7 @@ from esfem_core.elements.numbering import (
     IN_ORDER,
     boundary_nodes,
     check_cells,
+    flat_triangles,
     mirrored,
     number_cells,
     place_nodes,
@@ -180,7 +181,9 @@ class SurfaceSpace:
         cells : (T, (k+1)(k+2)/2) int array
             Node numbers of each element; the degree k is that of their number. Elements that are
             oriented against their neighbours, or inwards, are turned: ``space.cells`` has all
-            outwards, and cavities inwards.
+            outwards, and cavities inwards. What is a cavity is told by the k² flat triangles
+            between the nodes of each element. Where a shell is thinner than their distance from
+            the elements, its two sides need elements of one size: else both may be turned.
         exactness : int, optional
             As for the class.
         order : {"vtk", "gmsh", "meshio"}
@@ -231,10 +234,11 @@ class SurfaceSpace:
         check_coordinates("nodes", nodes, cells)
         corners, faces = np.unique(cells[:, :3], return_inverse=True)
         faces = faces.reshape(-1, 3)
-        turned = _turned(nodes[corners], faces, boundary)
+        turned = _turned(faces, nodes, flat_triangles(cells, degree), boundary)
         cells[turned] = cells[turned][:, mirrored(degree)]
         faces[turned] = faces[turned][:, [0, 2, 1]]
-        found = fault(nodes[corners], faces, boundary)
+        curved = nodes, flat_triangles(cells, degree)
+        found = fault(nodes[corners], faces, boundary, curved)
         if found is not None:
             advice = found.advice
             if found.text.startswith("the surface is not closed"):
@@ -790,13 +794,13 @@ class SurfaceSpace:
         return values.transpose(2, 1, 0).reshape(n_cells, n_points, *trailing)
 
 
-def _turned(vertices: Array, faces: Ints, boundary: bool) -> Bools:
+def _turned(faces: Ints, nodes: Array, pieces: Ints, boundary: bool) -> Bools:
     """Which elements to turn; none if no turning helps."""
     none = np.zeros(len(faces), dtype=bool)
     times = sides_of(faces).times
     if len(faces) == 0 or (times > 2).any() or (not boundary and (times == 1).any()):
         return none
-    return turned_to_outside(vertices, faces) if turned_to_agree(faces)[1].all() else none
+    return turned_to_outside(faces, nodes, pieces) if turned_to_agree(faces)[1].all() else none
 
 
 def _rule(degree: int, exactness: int | None) -> TriangleRule:

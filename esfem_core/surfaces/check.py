@@ -20,7 +20,8 @@ def check_triangulation(tri: trimesh.Trimesh, boundary: bool = False) -> None:
     oriented alike; triangles around a vertex forming one fan, so that V - E + F = 2 (components -
     handles); each component enclosing a volume, at a place of its own, oriented outwards, or
     inwards where it is a cavity, that is, inside an odd number of others; no triangle lying on its
-    neighbour.
+    neighbour. The triangles of the two sides of a thin shell may cross where the surface would not;
+    the side that encloses less is then the cavity, so that they should be refined alike.
 
     Parameters
     ----------

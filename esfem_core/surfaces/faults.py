@@ -128,7 +128,12 @@ class Fault(NamedTuple):
     orientable: bool = True
 
 
-def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
+def fault(
+    vertices: Array,
+    faces: Ints,
+    boundary: bool = False,
+    curved: tuple[Array, Ints] | None = None,
+) -> Fault | None:
     """Find the first fault of a mesh, or None.
 
     Looked for in this order: triangles, not curved elements cut into some; finite vertices, each
@@ -145,6 +150,9 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
     boundary : bool
         Whether edges may belong to one triangle only. Components with such edges enclose nothing,
         and have no outside.
+    curved : (N, 3) float array and (mT, 3) int array, optional
+        Nodes of curved elements with these corners, and flat triangles between them, m in
+        succession for each element: what lies inside what is told by them.
 
     Returns
     -------
@@ -172,7 +180,7 @@ def fault(vertices: Array, faces: Ints, boundary: bool = False) -> Fault | None:
         or _of_seams(vertices, faces, sides)
         or _of_neighbours(faces, sides)
         or _of_fans(len(vertices), faces, sides)
-        or _of_shells(vertices, faces, sides)
+        or _of_shells(vertices, faces, sides, curved or (vertices, faces))
         or _of_folds(vertices, faces, sides)
     )
 
@@ -387,11 +395,16 @@ def _of_fans(n_vertices: int, faces: Ints, sides: Sides) -> Fault | None:
     )
 
 
-def _of_shells(vertices: Array, faces: Ints, sides: Sides) -> Fault | None:
+def _of_shells(
+    vertices: Array, faces: Ints, sides: Sides, shape: tuple[Array, Ints]
+) -> Fault | None:
     closed = np.flatnonzero(~open_components(faces, sides))
     if len(closed) == 0:
         return None
-    found = shells(vertices, faces[closed])
+    nodes, pieces = shape
+    each = len(pieces) // len(faces)
+    found = shells(nodes, pieces.reshape(-1, each, 3)[closed].reshape(-1, 3))
+    found = found._replace(label=found.label[::each])
     count = len(found.volume)
     kind = "component" if len(closed) == len(faces) else "closed component"
     if found.flat.any():

@@ -1,7 +1,9 @@
 """Which way the triangles of a surface run: alike with their neighbours, and outwards.
 
 Components are judged one by one. One that lies in no other must be oriented outwards; a cavity,
-which lies in an odd number of others, inwards, so that normals point out of the body.
+which lies in an odd number of others, inwards, so that normals point out of the body. One lies in
+another if it is smaller, a point deep in it does, and it sticks out by no more than flat triangles
+are away from a curved surface: those of the two sides of a thin shell may cross.
 """
 
 from typing import NamedTuple
@@ -31,7 +33,8 @@ __all__ = [
     "with_turned",
 ]
 
-PROBES = 3  # points of a component by which it is found inside another
+PROBES = 3  # triangles of a component from which one looks for a point deep in it
+DEPTHS = 0.25 ** np.arange(10, 0, -1)  # of such points, over the diagonal of the component
 FLAT = 1e-12  # largest volume over area times diameter that is none
 SAME = 1e-6  # distance of components at one place, over their diagonal: files have six digits
 CHUNK = 2**18  # pairs of points and triangles at a time
@@ -262,7 +265,7 @@ def shells(vertices: Array, faces: Ints) -> Shells:
     area = np.bincount(label, np.linalg.norm(normals_of(vertices, faces), axis=1)) / 2
     low, high = _boxes(vertices, faces, label, len(volume))
     flat = np.abs(volume) <= FLAT * area * np.linalg.norm(high - low, axis=1)
-    return Shells(label, volume, _depths(vertices, faces, label, low, high), flat)
+    return Shells(label, volume, _depths(vertices, faces, label, volume, low, high), flat)
 
 
 def coincident(vertices: Array, faces: Ints, label: Ints) -> tuple[int, int] | None:
@@ -291,25 +294,37 @@ def coincident(vertices: Array, faces: Ints, label: Ints) -> tuple[int, int] | N
     return None
 
 
-def turned_to_outside(vertices: Array, faces: Ints) -> Bools:
+def turned_to_outside(faces: Ints, nodes: Array, pieces: Ints) -> Bools:
     """Which triangles of an orientable surface to turn so that it is oriented as it must be.
 
     Those of a closed component so that it is oriented outwards, or inwards if it is a cavity;
     those of one with a boundary so that neighbours agree and most triangles stay.
 
+    Parameters
+    ----------
+    faces : (T, 3) int array
+        Triangles, or the corners of curved elements.
+    nodes : (N, 3) float array
+    pieces : (mT, 3) int array
+        Flat triangles between the nodes that insides are told by, m in succession for each of
+        `faces` and oriented as it is; `faces` themselves if nothing is curved.
+
     Examples
     --------
     >>> import esfem_core as ec
     >>> tri = ec.sphere("octahedron", 1)
-    >>> turned_to_outside(np.asarray(tri.vertices), tri.faces[:, ::-1]).all()
+    >>> faces = tri.faces[:, ::-1]
+    >>> turned_to_outside(faces, np.asarray(tri.vertices), faces).all()
     np.True_
     """
     faces = np.asarray(faces, dtype=np.int64)  # NumPy 2.0 takes no uint64 for numbers of vertices
     turned, _ = turned_to_agree(faces)
     closed = ~open_components(faces, sides_of(faces))
     if closed.any():
-        found = shells(vertices, with_turned(faces, turned)[closed])
-        turned[closed] ^= found.wrong()[found.label]
+        each = len(pieces) // len(faces)
+        of_closed = np.repeat(closed, each)
+        found = shells(nodes, with_turned(pieces, np.repeat(turned, each))[of_closed])
+        turned[closed] ^= found.wrong()[found.label[::each]]
     return turned
 
 
@@ -342,13 +357,18 @@ def winding_numbers(points: Array, vertices: Array, faces: Ints) -> Array:
     >>> winding_numbers(np.array([[0, 0, 0.5], [0, 0, 2]]), tri.vertices, tri.faces).tolist()
     [1.0, 0.0]
     """
-    origin = np.asarray(vertices)[faces[0, 0]]
-    corners = ((vertices - origin) @ ALONG)[faces].transpose(1, 2, 0)  # (3, 3, T): corner, axis
+    return _windings(points, np.asarray(vertices)[faces])
+
+
+def _windings(points: Array, triangles: Array) -> Array:
+    """The same for triangles given by their corners, (T, 3, 3)."""
+    origin = triangles[0, 0]
+    corners = ((triangles - origin) @ ALONG).transpose(1, 2, 0)  # (3, 3, T): corner, axis
     seen = (points - origin) @ ALONG
     begin, end = np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0)  # sides opposite
     x, y = (end - begin)[:, :2].transpose(1, 0, 2)
     lines = np.stack([-y, x, y * begin[:, 0] - x * begin[:, 1]], axis=2)  # (3, T, 3)
-    step = max(1, CHUNK // len(faces))
+    step = max(1, CHUNK // len(triangles))
     out = np.empty(len(points))
     for n in range(0, len(points), step):
         p = seen[n : n + step]
@@ -370,27 +390,54 @@ def _boxes(vertices: Array, faces: Ints, label: Ints, count: int) -> tuple[Array
     return low, high
 
 
-def _depths(vertices: Array, faces: Ints, label: Ints, low: Array, high: Array) -> Ints:
-    """In how many others each component lies; only boxes inside a box are looked at closer."""
+def _depths(
+    vertices: Array, faces: Ints, label: Ints, volume: Array, low: Array, high: Array
+) -> Ints:
+    """In how many others each component lies.
+
+    Those are larger, hold a point deep in it, and their boxes hold its box, but for a bulge.
+    """
     count = len(low)
     depth = np.zeros(count, dtype=np.int64)
     if count == 1:
         return depth
-    order = np.argsort(label, kind="stable")
-    ends = np.cumsum(np.bincount(label))
-    sizes = np.diff(ends, prepend=0)
-    picked = (ends - sizes)[:, None] + (np.arange(PROBES) * sizes[:, None]) // PROBES
-    probes = vertices[faces[order[picked]]].mean(axis=2)  # (C, PROBES, 3), centres of triangles
+    size = np.abs(volume)
+    inwards = -np.sign(volume) * np.linalg.norm(high - low, axis=1)
+    order, ends = np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))
+    places = np.split(vertices[faces[order]], ends[:-1])  # the triangles of each component
+    points = np.full((count, 3), np.nan)
+    bulge = np.zeros(count)
+    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+    np.maximum.at(bulge, label, np.linalg.norm(sides, axis=2).max(axis=1) / 4)
     # A box inside another begins there in x, too: of thousands of parts few are compared.
     in_x = np.argsort(low[:, 0], kind="stable")
-    begin = np.searchsorted(low[in_x, 0], low[:, 0], "left")
+    begin = np.searchsorted(low[in_x, 0], low[:, 0] - bulge, "left")
     end = np.searchsorted(low[in_x, 0], high[:, 0], "right")
     for outer in range(count):
         near = in_x[begin[outer] : end[outer]]
-        near = near[near != outer]
-        inner = near[((low[outer] <= low[near]) & (high[near] <= high[outer])).all(axis=1)]
+        near = near[size[near] < size[outer]]
+        slack = np.minimum(bulge[outer], np.abs(inwards[near]) / 20)[:, None]
+        within = (low[near] >= low[outer] - slack) & (high[near] <= high[outer] + slack)
+        inner = near[within.all(axis=1)]
+        for c in inner[np.isnan(points[inner, 0])]:
+            points[c] = _deep(places[c], inwards[c])
         if len(inner):
-            own = faces[order[ends[outer] - sizes[outer] : ends[outer]]]
-            w = winding_numbers(probes[inner].reshape(-1, 3), vertices, own)
-            depth[inner] += np.median(np.abs(w.reshape(-1, PROBES)), axis=1) > 0
+            depth[inner] += _windings(points[inner], places[outer]) != 0
     return depth
+
+
+def _deep(triangles: Array, inwards: float) -> Array:
+    """A point that a component encloses, far from its triangles; on one if it encloses nothing.
+
+    Below some triangles one goes down until the surface is left again, and back a third of the way.
+    """
+    some = triangles[np.arange(PROBES) * len(triangles) // PROBES]
+    normal = normals_of(some.reshape(-1, 3), np.arange(3 * PROBES).reshape(-1, 3))
+    normal *= inwards / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    centre = some.mean(axis=1)
+    tried = centre[:, None] + DEPTHS[:, None] * normal[:, None]
+    inside = _windings(tried.reshape(-1, 3), triangles).reshape(PROBES, -1) != 0
+    passed = np.where(inside.all(axis=1), len(DEPTHS), inside.argmin(axis=1))  # without a gap
+    best = int(passed.argmax())
+    reached = DEPTHS[passed[best] - 1] if passed[best] else 0.0
+    return np.asarray(centre[best] + 2 / 3 * reached * normal[best])

@@ -6,6 +6,7 @@ import meshio
 import numpy as np
 import pytest
 from broken_meshes import SPHERE, joined, mesh
+from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
 from esfem_core.elements.numbering import mirrored
@@ -76,6 +77,23 @@ def test_elements_of_mixed_orientation_are_turned(degree):
     assert said[1] == f"turned {wrong.sum()} elements to agree and point outwards"
     inwards = ec.SurfaceSpace.from_nodes(made.nodes, made.cells[:, mirrored(degree)])
     np.testing.assert_array_equal(inwards.cells, made.cells)
+
+
+@pytest.mark.parametrize("turn", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("degree", "outer", "inner", "radius"),
+    [(2, 1, 1, 0.95), (4, 0, 0, 0.9), (4, 0, 2, 0.9), (2, 1, 3, 0.98), (1, 2, 2, 0.99)],
+)
+def test_the_cavity_of_a_thin_shell_is_oriented_inwards(degree, outer, inner, radius, seed, turn):
+    """Though elements bulge beyond the corners of those on the other side."""
+    around, within = (curved(degree, ec.sphere("icosahedron", n)) for n in (outer, inner))
+    one, other = Rotation.random(2, random_state=seed).as_matrix()
+    nodes = np.vstack([around.nodes @ one, radius * within.nodes @ other])
+    mirror = mirrored(degree)
+    cells = np.vstack([around.cells, len(around.nodes) + within.cells[:, mirror]])
+    given = cells[:, mirror] if turn else cells
+    np.testing.assert_array_equal(ec.SurfaceSpace.from_nodes(nodes, given).cells, cells)
 
 
 def test_elements_without_common_nodes_are_joined_by_reading_and_refused_as_arrays():

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from broken_meshes import BROKEN, SPHERE, half, joined, klein_bottle, mesh, soup, turned
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
 from esfem_core.elements.lagrange import MOST_DEGREE
@@ -83,6 +84,25 @@ def test_depths_are_counted_in_every_order_of_the_components():
         tri = joined(*(parts[i] for i in order))
         found = shells(np.asarray(tri.vertices), np.asarray(tri.faces))
         np.testing.assert_array_equal(found.depth, depths[order])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cavity_whose_triangles_cross_those_of_its_body_is_one(seed):
+    """The sides of a thin shell, seen from each other."""
+    one, other = Rotation.random(2, random_state=seed).as_matrix()
+    inner = mesh(0.97 * SPHERE.vertices @ other, SPHERE.faces)
+    right = joined(mesh(SPHERE.vertices @ one, SPHERE.faces), turned(inner))
+    ec.check_triangulation(right)
+    wrong = joined(mesh(SPHERE.vertices @ one, SPHERE.faces), inner)
+    said = []
+    assert ec.repair(wrong, report=said.append).volume == pytest.approx(right.volume, rel=1e-14)
+    assert said == ["turned 1 cavity inwards"]
+
+
+@pytest.mark.parametrize("place", [0.6, 0.75, 0.9])
+def test_a_body_that_sticks_out_of_another_is_no_cavity(place):
+    knob = mesh(0.5 * SPHERE.vertices + [place, 0, 0], SPHERE.faces)
+    ec.check_triangulation(joined(SPHERE, knob))
 
 
 @pytest.mark.parametrize(("small", "large"), [(0.5, 1.0), (1.0, 0.5)])
@@ -399,7 +419,8 @@ def test_vertices_too_far_away_for_areas_are_named_without_advice_that_fails():
 @pytest.mark.parametrize("kind", [np.int32, np.uint32, np.uint64])
 def test_faces_may_be_integers_of_any_type(kind):
     faces = np.array([[2, 1, 0], [1, 3, 0], [3, 2, 0], [2, 3, 1]])
-    assert turned_to_outside(np.eye(4, 3)[::-1], faces.astype(kind)).all()
+    faces = faces.astype(kind)
+    assert turned_to_outside(faces, np.eye(4, 3)[::-1], faces).all()
     # The keys of the edges from 0 to 3 and from 1 to 3 differ by 2**32.
     far = np.array([0, 2**15, 2**16, 2**17 - 1])[faces].astype(kind)
     assert (sides_of(far).times == 2).all()
