@@ -88,7 +88,8 @@ def remeshed(
         the problem, or the problem fixes one at nodes that are given by number. If h is
         not positive, or so small that there were more than a million triangles, or so large that
         the surface could not have the topology it has: a component has no room for twenty
-        triangles, or turns by more than 60 degrees within one. If the new triangles are not fit on
+        triangles, or turns by more than 60 degrees within one, or two sides are so near each other
+        that new triangles cross over. If the new triangles are not fit on
         the initial surface, where that counts. If a node has no normal, or a vector field "normal"
         points inwards.
     MeshingError

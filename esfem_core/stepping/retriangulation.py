@@ -104,7 +104,7 @@ def triangulated(space: SurfaceSpace, x: Array, h: float, normal: Array | None =
         guide = Guide(planes.distance, planes.normal, planes.near, planes.values(lengths / h))
         found = evened(*resized(vertices, faces, guide, h), guide, h, ROUNDS, ANY_TURN)
         vertices, faces = found.vertices, found.faces
-        transfer = _transfer(at, vertices, faces)
+        transfer = _transfer(at, vertices, faces, h)
         follows = _follows(at, normal, transfer, turn)
         if follows.all() and found.quality.min_angle >= LEAST_ANGLE:
             return transfer
@@ -180,11 +180,17 @@ def _planes(x: Array, faces: Ints) -> Array:
     return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
 
 
-def _transfer(at: Surface, vertices: Array, faces: Ints) -> Transfer:
-    """Give new triangles nodes on the old surface."""
+def _transfer(at: Surface, vertices: Array, faces: Ints, h: float) -> Transfer:
+    """Give new triangles nodes on the old surface; h is for the message if they are unfit there."""
     space, x = at.space, at.x
     vertices = closest_points(space, x, vertices).points
-    flat = SurfaceSpace(trimesh.Trimesh(vertices, faces, process=False), space.degree)
+    try:
+        flat = SurfaceSpace(trimesh.Trimesh(vertices, faces, process=False), space.degree)
+    except ValueError:  # it tells of triangles that nobody else has
+        raise ValueError(
+            f"h = {h:g} is too large for this surface: the new triangles do not follow it, as "
+            "where two of its sides are near each other"
+        ) from None
     found = closest_points(space, x, flat.nodes)
     values = tabulate(space.degree, found.local).values
     rows = np.arange(0, values.size + 1, values.shape[1])

@@ -6,9 +6,11 @@ from itertools import islice
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import esfem_core as ec
 from esfem_core.companion import bunny
+from esfem_core.elements.numbering import mirrored
 from esfem_core.stepping.remeshing import transferred
 from esfem_core.stepping.retriangulation import _flattened, triangulated
 from esfem_core.study import observed_orders
@@ -453,6 +455,19 @@ def test_the_largest_length_is_allowed():
         ec.remeshed(STATE, 5.0)
     limit = float(str(refused.value).split("at most ")[1].split(",")[0])
     assert len(ec.remeshed(STATE, limit).space.cells) >= 8
+
+
+def test_a_length_that_is_too_large_for_a_thin_shell_is_called_so():
+    """And not a mesh unfit that only the remeshing has."""
+    around = ec.SurfaceSpace(ec.sphere("icosahedron", 2), 2, ec.to_unit_sphere)
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    nodes = np.vstack([around.nodes, 0.985 * around.nodes @ turn])
+    inner = len(around.nodes) + around.cells[:, mirrored(2)]
+    space = ec.SurfaceSpace.from_nodes(nodes, np.vstack([around.cells, inner]))
+    state = ec.State(0.0, space.nodes, None, space=space, fields={"u": np.ones(len(nodes))})
+    with pytest.raises(ValueError, match=r"^h = 0\.25 is too large for this surface") as refused:
+        ec.remeshed(state, 0.25)
+    assert "tri" not in str(refused.value).split()
 
 
 def test_values_at_numbered_nodes_are_not_moved_to_other_nodes():
