@@ -146,6 +146,11 @@ def normal_and_curvature(at: Surface) -> tuple[Array, Array]:
     know no curvature: for k = 1 both are those of elements of degree 2 on the smooth surface
     through the vertices, :func:`esfem_core.smooth`, taken at the vertices.
 
+    The curvature's error in L2 has an order of about 2 on regular refinements, more on those of an
+    icosahedron, and for k = 1 and 2 about 1 on irregular triangles. It then mostly is far below
+    that of M^{-1} A x, but on coarse meshes, of an ellipsoid of 320 triangles with k = 2, say, it
+    can be above.
+
     Parameters
     ----------
     at : Surface
