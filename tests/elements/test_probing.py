@@ -217,6 +217,23 @@ def test_chunks_do_not_matter(chunk, monkeypatch):
     np.testing.assert_allclose(parts.points, whole.points, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_places_are_nearly_as_exact_as_distances_and_turn_with_the_surface(degree):
+    """Also on edges, where rounding once made the last steps longer."""
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    ellipsoid = ec.exact_surfaces.Ellipsoid((1.5, 1.0, 0.5))
+    tri = ec.sphere("octahedron", 2)
+    tri.vertices = tri.vertices @ turn * ellipsoid.axes
+    space = ec.SurfaceSpace(tri, degree, ellipsoid.closest if degree > 1 else None)
+    points = 3 * ec.to_unit_sphere(np.random.default_rng(5).normal(size=(500, 3)))
+    found = closest_points(space, space.nodes, points)
+    turned = closest_points(space, space.nodes @ turn, points @ turn)
+    np.testing.assert_allclose(turned.points @ turn.T, found.points, rtol=0, atol=1e-12)
+    if degree == 1:
+        exact = trimesh.triangles.closest_point(space.nodes[space.cells[found.cell]], points)
+        np.testing.assert_allclose(found.points, exact, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize("convex", [True, False])
 def test_a_step_of_the_search_expects_what_a_quadratic_function_does(convex):
     """Its slope, and by how much it is lower where the step ends."""
