@@ -182,8 +182,8 @@ def _without_triangles(found: Elements) -> ValueError:
     empty = len(found.points) == 0 and not found.notes
     kinds = kinds or ("nothing that can be read" if empty else "points only")
     return ValueError(
-        f"{found.name} holds no triangles ({kinds}); write the surface with the program that made "
-        "it"
+        f"source must hold triangles, but {found.name} holds none ({kinds}); write the surface "
+        "with the program that made it"
     )
 
 
