@@ -110,7 +110,7 @@ def factorise(A: csr_array, fronts: Fronts, dtype: DTypeLike | None = None) -> "
                 "A must have the pattern that the fronts were made for, that of space.pattern; got "
                 "as many entries at other places"
             )
-    check_halves(A)  # a fiftieth of the time of the factorisation, or less
+    check_halves(A)  # a twentieth of the time of the factorisation, or less
     if dtype is not None:
         return _factorise(A, fronts, _precision(dtype))
     single = _in_single(A, fronts)
